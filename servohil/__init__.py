@@ -1,0 +1,7 @@
+"""servohil: an open real-time hardware-in-the-loop controller stack for servo-hydraulic actuators.
+
+The rooms of the project live at the repository root and are imported from here: `servohil.estimators`,
+`servohil.control`, `servohil.drivers`, `servohil.hil`, `servohil.sim_bench`.
+"""
+
+__version__ = "0.1.0"
