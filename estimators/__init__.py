@@ -1,0 +1,6 @@
+"""State estimation for servo-hydraulics: models as plain functions, filters compiled around them."""
+
+from servohil.estimators.model import Model
+from servohil.estimators.srukf import SRUKF
+
+__all__ = ["SRUKF", "Model"]

@@ -1,0 +1,1 @@
+"""Process models: plain functions that numba compiles, parameters as typed records with units."""

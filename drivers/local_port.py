@@ -1,0 +1,51 @@
+"""The loop's port on the embedded bus: straight onto the mesh, without python-can's message objects in between."""
+
+from collections.abc import Collection
+from typing import Any
+
+from numpy.typing import NDArray
+
+from servohil.drivers.frame import FLAG_ERROR
+from servohil.drivers.local_mesh import Mesh
+from servohil.drivers.port import PortHealth
+
+INTERFACE = "servohil"
+
+
+class LocalPort:
+    """A port on the bus `channel`. Raises BadBusOption or BusUnavailable as Mesh does."""
+
+    interface = INTERFACE
+
+    def __init__(self, channel: str, receive_ids: Collection[int] | None, reason: str | None = None) -> None:
+        self._mesh = Mesh(channel)
+        self._receive_ids = None if receive_ids is None else frozenset(receive_ids)
+        self._closed = False
+        self.name = f"{INTERFACE}:{channel}"
+        self.reason = reason or f'the embedded bus "{channel}" (host-local Unix sockets), as configured'
+        self.health = PortHealth()
+
+    def drain(self, frames: NDArray[Any], /) -> int:
+        if self._closed:
+            return 0
+        n = self._mesh.drain_into(frames, self._receive_ids)
+        if n:
+            self.health.received += n
+            error_frames = frames["flags"][:n] & FLAG_ERROR
+            if error_frames.any():
+                for error_classes in frames["id"][:n][error_frames != 0]:
+                    self.health.saw_error_frame(int(error_classes))
+        return n
+
+    def send(self, can_id: int, data: bytes) -> bool:
+        if self._closed:
+            self.health.saw_send_failure()
+            return False
+        self._mesh.send_frame(can_id, len(data), 0, data)
+        self.health.dropped = self._mesh.dropped
+        self.health.saw_sent()
+        return True
+
+    def close(self) -> None:
+        self._closed = True
+        self._mesh.close()

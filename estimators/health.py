@@ -1,0 +1,38 @@
+"""What a filter's step reports instead of raising: a status, and counters that telemetry can show."""
+
+from dataclasses import dataclass
+from enum import IntFlag
+from typing import Final
+
+# Plain ints for compiled code.
+OK: Final = 0
+MISSING: Final = 1
+GATED: Final = 2
+REPAIRED: Final = 4
+NOT_FINITE_INPUT: Final = 8
+DIVERGED: Final = 16
+WRONG_SIZE: Final = -1  # of u or y: a programming error, which `step` raises in Python
+
+
+class Status(IntFlag):
+    """Bits of the value that `step` returns."""
+
+    OK = OK
+    MISSING = MISSING  # at least one channel of y was NaN; the others were used
+    GATED = GATED  # the innovation failed the chi-square gate: predicted, not corrected
+    REPAIRED = REPAIRED  # the correction was refused as numerically meaningless: predicted, not corrected
+    NOT_FINITE_INPUT = NOT_FINITE_INPUT  # u not finite or y infinite: nothing was done
+    DIVERGED = DIVERGED  # the prediction was not finite: rolled back to the estimate before
+
+
+@dataclass(frozen=True)
+class Health:
+    """Counts since the last reset."""
+
+    steps: int
+    missing: int
+    gated: int
+    repaired: int
+    not_finite_input: int
+    diverged: int
+    since_full_update: int  # steps in a row whose measurement was not, or only partly, used

@@ -1,0 +1,201 @@
+"""A process model as plain Python functions, checked once and compiled for the filters.
+
+    def f(x, u, p, dx): ...   fills dx with the derivative (or, for integrator="discrete", with the next state)
+    def h(x, u, p, y): ...    fills y with the outputs
+
+Both are compiled by numba: float64 arithmetic, `math`, elementwise numpy, loops and calls of other compiled functions.
+Division by zero gives inf, as in numpy.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numba.core.dispatcher import Dispatcher
+from numba.core.errors import NumbaError
+from numpy.typing import ArrayLike, NDArray
+
+from servohil.estimators import integrate
+from servohil.estimators.generated import instantiate
+
+Vector = NDArray[np.float64]
+ModelFunction = Callable[[Vector, Vector, Vector, Vector], None]
+
+
+class ModelError(ValueError):
+    """A model was refused; the message names the argument, its value and the rule."""
+
+
+TEXT = '''
+from numba import njit
+
+VECTOR = "f8[::1]"
+
+@njit(f"void({VECTOR}, {VECTOR}, {VECTOR}, f8[:, ::1])", cache=CACHE, nogil=True, error_model="numpy")
+def advance(x, u, p, stages):
+    integrate(f, %(n)d, %(dt)r, %(substeps)d, x, u, p, stages)
+
+@njit(f"void({VECTOR}, {VECTOR}, {VECTOR}, {VECTOR})", cache=CACHE, nogil=True, error_model="numpy")
+def outputs(x, u, p, y):
+    h(x, u, p, y)
+'''
+
+
+class Model:
+    """A model with its sizes, parameters and sample period; immutable.
+
+    Args:
+        f: plain function f(x, u, p, dx) that fills dx (n,).
+        h: plain function h(x, u, p, y) that fills y (m,).
+        n: number of states.
+        m: number of outputs.
+        p: parameters, float64, may be empty; copied.
+        dt: sample period, s.
+        integrator: "rk4", "euler", or "discrete" (f fills the next state).
+        substeps: integration steps within dt.
+        n_u: number of inputs.
+        names: of the n states, for messages and plots.
+        units: of the n states.
+
+    Raises:
+        ModelError: a size, a parameter or a function breaks a rule; names it.
+    """
+
+    def __init__(
+        self,
+        f: ModelFunction,
+        h: ModelFunction,
+        n: int,
+        m: int,
+        p: ArrayLike,
+        dt: float,
+        integrator: str = "rk4",
+        substeps: int = 1,
+        n_u: int | None = None,
+        names: Sequence[str] | None = None,
+        units: Sequence[str] | None = None,
+    ) -> None:
+        self.n = _count("n", n)
+        self.m = _count("m", m)
+        self.n_u = _count("n_u", 1 if n_u is None else n_u, least=0)
+        self.substeps = _count("substeps", substeps)
+        if not isinstance(dt, int | float) or not math.isfinite(dt) or dt <= 0.0:
+            raise ModelError(f"dt = {dt!r}: must be a finite number of seconds > 0")
+        if integrator not in integrate.INTEGRATORS:
+            raise ModelError(f"integrator = {integrator!r}: must be one of {', '.join(integrate.INTEGRATORS)}")
+        self.dt = float(dt)
+        self.integrator = integrator
+        self.p = _parameters(p)
+        self.names = _labels("names", names, self.n, tuple(f"x{i}" for i in range(self.n)))
+        self.units = _labels("units", units, self.n, ("",) * self.n)
+        functions = {}
+        for name, function in (("f", f), ("h", h)):
+            if not callable(function):
+                raise ModelError(f"{name} = {function!r}: must be a function that fills its last argument")
+            plain = function.py_func if isinstance(function, Dispatcher) else function
+            functions[name] = plain
+        self._compiled = {
+            name: njit(nogil=True, error_model="numpy")(function) for name, function in functions.items()
+        }
+        self._stages = np.zeros((integrate.STAGES, self.n))
+
+        def check() -> None:
+            _check_fills("f", functions["f"], self.n, self.n_u, self.p, self.n)
+            _check_fills("h", functions["h"], self.n, self.n_u, self.p, self.m)
+
+        namespace = self.instantiate("model", TEXT, check)
+        self._advance = namespace["advance"]
+        self._outputs = namespace["outputs"]
+
+    def instantiate(
+        self, name: str, text: str, check: Callable[[], None] | None = None, **values: Any
+    ) -> dict[str, Any]:
+        """Compile a module written around this model: `text` may use f, h, integrate and `values`, and has the fields
+        %(n)d, %(m)d, %(n_u)d, %(dt)r and %(substeps)d. Returns its namespace; `check` as in `generated.instantiate`."""
+        sizes = {"n": self.n, "m": self.m, "n_u": self.n_u, "dt": self.dt, "substeps": self.substeps}
+        text = f"# {len(self.p)} parameters\n" + text % sizes
+        try:
+            names = {**self._compiled, "integrate": getattr(integrate, self.integrator), **values}
+            return instantiate(name, text, names, check)
+        except NumbaError as error:
+            raise ModelError(f"f or h cannot be compiled by numba: {_reason(error)}") from error
+
+    def advance(self, x: ArrayLike, u: ArrayLike) -> Vector:
+        """The state one sample period later, u held. x (n,), u (n_u,) -> (n,)."""
+        state = _sized("x", x, self.n).copy()
+        self._advance(state, _sized("u", u, self.n_u), self.p, self._stages)
+        return state
+
+    def outputs(self, x: ArrayLike, u: ArrayLike) -> Vector:
+        """The outputs at a state. x (n,), u (n_u,) -> (m,)."""
+        y = np.zeros(self.m)
+        self._outputs(_sized("x", x, self.n), _sized("u", u, self.n_u), self.p, y)
+        return y
+
+
+def _count(name: str, value: object, least: int = 1) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ModelError(f"{name} = {value!r}: must be a whole number >= {least}")
+    return int(value)
+
+
+def _sized(name: str, value: ArrayLike, size: int) -> Vector:
+    vector = np.ascontiguousarray(value, dtype=np.float64)
+    if vector.shape != (size,):
+        raise ModelError(f"{name} has shape {vector.shape}: must be ({size},)")
+    return vector
+
+
+def _parameters(p: ArrayLike) -> Vector:
+    try:
+        vector = np.array(p, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"p = {p!r}: must be a 1-D float64 array (may be empty)") from error
+    if vector.ndim != 1:
+        raise ModelError(f"p has shape {vector.shape}: must be 1-D (may be empty)")
+    bad = np.flatnonzero(~np.isfinite(vector))
+    if bad.size:
+        raise ModelError(f"p[{bad[0]}] = {vector[bad[0]]}: parameters must be finite")
+    return vector
+
+
+def _labels(name: str, value: Sequence[str] | None, n: int, default: tuple[str, ...]) -> tuple[str, ...]:
+    if value is None:
+        return default
+    labels = tuple(value)
+    if len(labels) != n:
+        raise ModelError(f"{name} = {labels!r}: must have one entry per state, n = {n}")
+    return labels
+
+
+def _check_fills(name: str, function: ModelFunction, n: int, n_u: int, p: Vector, size: int) -> None:
+    """Run the plain function twice on differently filled outputs: what it writes must not depend on what was there."""
+    results = []
+    for old in (1.0, -2.0):
+        out = np.full(size, old)
+        try:
+            with np.errstate(all="ignore"):
+                returned = function(np.linspace(0.25, 0.75, n), np.full(n_u, 0.5), p.copy(), out)
+        except (ArithmeticError, ValueError) as error:
+            if isinstance(error, ValueError) and "math domain" not in str(error):
+                raise ModelError(f"{name} failed at a trial state: {error}") from error
+            return  # this trial state is outside the function's domain: nothing to learn
+        except Exception as error:
+            sizes = f"x ({n},), u ({n_u},), p ({p.size},), output ({size},)"
+            raise ModelError(f"{name} failed with {sizes}: {type(error).__name__}: {error}") from error
+        if returned is not None:
+            raise ModelError(f"{name} returned {returned!r}: it must fill its last argument and return nothing")
+        results.append(out)
+    same = (results[0] == results[1]) | (np.isnan(results[0]) & np.isnan(results[1]))
+    if not same.all():
+        raise ModelError(
+            f"{name} does not fill element {int(np.flatnonzero(~same)[0])} of its last argument ({size} elements): "
+            "every element must be assigned"
+        )
+
+
+def _reason(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return next((line for line in lines if "rror" in line or "nknown" in line), lines[0] if lines else repr(error))

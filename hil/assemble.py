@@ -1,0 +1,110 @@
+"""From a rig's configuration to the parts of its cycle: codec, filter, law, monitor. Everything compiled happens here."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servohil.control.intsmc import IntsmcGains
+from servohil.control.reference import SineProfile, StepProfile
+from servohil.drivers.codec import Codec, MessageProtection, load_codec
+from servohil.estimators import SRUKF, Model
+from servohil.estimators.models import cylinder
+from servohil.hil.config import Rig
+from servohil.hil.config.controller import SineReference
+
+NS_PER_S: Final = 1_000_000_000
+NOISE_PERIOD_S: Final = 1e-3  # process noise is configured per millisecond, whatever the rate
+LONGEST_MODEL_STEP_S: Final = 2e-3  # the hydraulic resonance (about 12 Hz) stays well resolved by RK4
+PA_PER_MPA: Final = 1e6
+
+SENSOR_SIGNALS: Final = ("position", "pressure_a", "pressure_b", "supply", "tank", "spool")
+
+
+def load_bus_codec(rig: Rig, receive: Sequence[str], transmit: Sequence[str]) -> Codec:
+    """The codec of one end of the rig's bus, protections as configured. Raises DbcError."""
+    protections = {
+        name: MessageProtection(message.period_ns, message.e2e, message.data_ids)
+        for name, message in rig.bus.messages.items()
+    }
+    return load_codec(rig.dbc_path, protections, receive=list(receive), transmit=list(transmit))
+
+
+def message_of(signal_path: str) -> str:
+    """"Message.signal" -> "Message"."""
+    return signal_path.split(".", maxsplit=1)[0]
+
+
+def sensor_messages(rig: Rig) -> list[str]:
+    """Names of the messages that the node sends, in a fixed order."""
+    paths = [getattr(rig.signals, name) for name in (*SENSOR_SIGNALS, "status_word")]
+    return sorted({message_of(path) for path in paths})
+
+
+def command_message(rig: Rig) -> str:
+    """Name of the message that the controller sends."""
+    return message_of(rig.signals.command)
+
+
+def process_covariance(rig: Rig) -> NDArray[np.float64]:
+    """Q per cycle in the filter's units (m, m/s, MPa, MPa), from standard deviations per millisecond."""
+    std = rig.estimator.process_std
+    per_ms = np.array([std.position_m, std.velocity_mps, std.pressure_a_pa / PA_PER_MPA, std.pressure_b_pa / PA_PER_MPA])
+    return np.diag(per_ms**2) * (rig.loop.period_ns / NS_PER_S / NOISE_PERIOD_S)
+
+
+def build_model(rig: Rig) -> Model:
+    """The estimator's process model: the rig's cylinder at the rig's rate."""
+    dt = rig.loop.period_ns / NS_PER_S
+    return Model(
+        cylinder.f,
+        cylinder.h,
+        n=cylinder.N_STATES,
+        m=cylinder.N_OUTPUTS,
+        p=rig.cylinder.parameters().vector(),
+        dt=dt,
+        integrator="rk4",
+        substeps=max(1, round(dt / LONGEST_MODEL_STEP_S)),
+        n_u=cylinder.N_INPUTS,
+        names=cylinder.STATE_NAMES,
+        units=cylinder.STATE_UNITS,
+    )
+
+
+def build_filter(rig: Rig, arena: NDArray[np.float64]) -> SRUKF:
+    """The SR-UKF with the configured Q and R, living in `arena`."""
+    estimator = rig.estimator
+    initial, measured = estimator.initial_std, estimator.measurement_std
+    p0 = [initial.position_m, initial.velocity_mps, initial.pressure_a_pa / PA_PER_MPA, initial.pressure_b_pa / PA_PER_MPA]
+    r = [measured.position_m, measured.pressure_a_pa / PA_PER_MPA, measured.pressure_b_pa / PA_PER_MPA]
+    return SRUKF(
+        build_model(rig),
+        x0=np.zeros(cylinder.N_STATES),
+        P0=np.diag(np.square(p0)),
+        Q=process_covariance(rig),
+        R=np.diag(np.square(r)),
+        alpha=estimator.alpha,
+        beta=estimator.beta,
+        kappa=estimator.kappa,
+        arena=arena,
+    )
+
+
+def build_gains(rig: Rig) -> IntsmcGains:
+    """The law's gains; raises GainError naming the condition that is broken."""
+    return IntsmcGains(**rig.control.model_dump(exclude={"law"}))
+
+
+def build_profile(rig: Rig) -> SineProfile | StepProfile:
+    """The reference profile, checked against the rig's limits."""
+    reference, limits = rig.reference, rig.limits
+    profile: SineProfile | StepProfile
+    if isinstance(reference, SineReference):
+        profile = SineProfile(
+            reference.offset_m, reference.amplitude_m, reference.omega_rad_per_s, reference.blend_s
+        )
+    else:
+        profile = StepProfile(reference.levels_m, reference.dwell_s, reference.ramp_s, reference.blend_s)
+    profile.check_limits(limits.position_min_m, limits.position_max_m, limits.speed_max_mps)
+    return profile

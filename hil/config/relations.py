@@ -1,0 +1,165 @@
+"""What must hold between several keys of the configuration; each rule yields one problem per violation.
+
+A rule runs when every table it reads is valid by itself, so that one load names all mistakes that can be judged.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from servohil.hil.config.controller import Limits, SineReference, StepReference
+from servohil.hil.config.hydraulics import Cylinder, Plant
+from servohil.hil.config.problems import Problem
+from servohil.hil.config.rig import Bus, Loop, Signals, Telemetry
+
+DATA_IDS: Final = 16  # E2E profile 2: one per value of the 4-bit counter
+TIMEOUT_PERIODS: Final = 3  # one late and one lost command must not stop the valve
+# Peak over mean speed of the smoothest ramp in use, the seventh-order polynomial with zero end jerk: 35/16.
+RAMP_PEAK: Final = 35.0 / 16.0
+LISTEN: Final = re.compile(r"tcp/127\.0\.0\.1:(\d{1,5})")
+COMMAND_SIGNALS: Final = ("command", "control_word")
+
+
+def _dbc_exists(folder: Path, bus: Bus) -> Iterator[Problem]:
+    path = folder / bus.dbc
+    if not path.is_file():
+        yield Problem(("bus", "dbc"), f"no such file: {path}; allowed: a DBC file, relative to the TOML file")
+
+
+def _data_ids(folder: Path, bus: Bus) -> Iterator[Problem]:
+    owner: dict[tuple[int, ...], str] = {}
+    for name, message in bus.messages.items():
+        key = ("bus", "messages", name, "data_ids")
+        if message.e2e == "none":
+            if message.data_ids:
+                yield Problem(key, 'e2e = "none" has no data ids; remove the key')
+        elif len(message.data_ids) != DATA_IDS:
+            yield Problem(key, f"{len(message.data_ids)} values; allowed: exactly {DATA_IDS} values of 0..255")
+        elif message.data_ids in owner:
+            # Equal lists would let one message pass for the other.
+            yield Problem(key, f"same list as {owner[message.data_ids]}; allowed: a list of its own")
+        else:
+            owner[message.data_ids] = name
+
+
+def _signals_have_messages(folder: Path, signals: Signals, bus: Bus) -> Iterator[Problem]:
+    paths: dict[str, str] = signals.model_dump()
+    uses = Counter(paths.values())
+    received = {path.split(".")[0] for name, path in paths.items() if name not in COMMAND_SIGNALS}
+    for name, path in paths.items():
+        message = path.split(".")[0]
+        if message not in bus.messages:
+            known = ", ".join(bus.messages)
+            yield Problem(("signals", name), f"no table [bus.messages.{message}]; allowed: {known}")
+        if uses[path] > 1:
+            yield Problem(("signals", name), "used more than once; allowed: a signal of its own")
+        if name in COMMAND_SIGNALS and message in received:
+            yield Problem(("signals", name), f"{message} is received; allowed: a message that only we send")
+
+
+def _limits_in_order(folder: Path, limits: Limits) -> Iterator[Problem]:
+    if limits.position_max_m <= limits.position_min_m:
+        yield Problem(("limits", "position_max_m"), f"must be above position_min_m = {limits.position_min_m}")
+    if limits.pressure_max_pa <= limits.pressure_min_pa:
+        yield Problem(("limits", "pressure_max_pa"), f"must be above pressure_min_pa = {limits.pressure_min_pa}")
+    if not limits.pressure_min_pa <= limits.supply_min_pa < limits.pressure_max_pa:
+        allowed = (
+            f"must be within pressure_min_pa = {limits.pressure_min_pa} and pressure_max_pa = {limits.pressure_max_pa}"
+        )
+        yield Problem(("limits", "supply_min_pa"), allowed)
+
+
+def _ramp_within_slew(folder: Path, limits: Limits) -> Iterator[Problem]:
+    least = limits.command_max_v / limits.command_slew_v_per_s
+    if limits.ramp_down_s < least:
+        text = f"must be at least command_max_v / command_slew_v_per_s = {least:g} s: a stop keeps the slew limit too"
+        yield Problem(("limits", "ramp_down_s"), text)
+
+
+def _limits_inside_stroke(folder: Path, limits: Limits, cylinder: Cylinder) -> Iterator[Problem]:
+    for name in ("position_min_m", "position_max_m"):
+        value: float = getattr(limits, name)
+        if not 0.0 <= value <= cylinder.stroke_m:
+            yield Problem(("limits", name), f"must be within the stroke, 0..{cylinder.stroke_m} m")
+
+
+def _reference_inside_limits(
+    folder: Path, reference: SineReference | StepReference, limits: Limits
+) -> Iterator[Problem]:
+    low, high = limits.position_min_m, limits.position_max_m
+    if isinstance(reference, SineReference):
+        reach = (reference.offset_m - reference.amplitude_m, reference.offset_m + reference.amplitude_m)
+        if reach[0] < low or reach[1] > high:
+            text = f"offset_m = {reference.offset_m} makes it {reach[0]:g}..{reach[1]:g} m; limits are {low}..{high} m"
+            yield Problem(("reference", "amplitude_m"), text)
+        speed = reference.amplitude_m * reference.omega_rad_per_s
+        if speed > limits.speed_max_mps:
+            text = f"peak speed {speed:g} m/s; limits.speed_max_mps is {limits.speed_max_mps}"
+            yield Problem(("reference", "omega_rad_per_s"), text)
+        return
+    for index, level in enumerate(reference.levels_m):
+        if not low <= level <= high:
+            yield Problem(("reference", "levels_m", index), f"limits are {low}..{high} m")
+    steps = [abs(after - before) for before, after in pairwise((*reference.levels_m, reference.levels_m[0]))]
+    speed = RAMP_PEAK * max(steps) / reference.ramp_s
+    if speed > limits.speed_max_mps:
+        text = f"peak speed {speed:g} m/s; limits.speed_max_mps is {limits.speed_max_mps}"
+        yield Problem(("reference", "ramp_s"), text)
+
+
+def _listens_on_loopback(folder: Path, telemetry: Telemetry) -> Iterator[Problem]:
+    match = LISTEN.fullmatch(telemetry.listen)
+    if match is None or int(match.group(1)) > 65535:
+        text = "must be tcp/127.0.0.1:PORT: other machines are not served"
+        yield Problem(("telemetry", "listen"), text)
+
+
+def _timeout_spans_periods(folder: Path, plant: Plant | None, loop: Loop) -> Iterator[Problem]:
+    if plant is None:
+        return
+    least = TIMEOUT_PERIODS * loop.period_ns / 1e9
+    if plant.command_timeout_s < least:
+        text = f"must be at least {TIMEOUT_PERIODS} periods of {loop.rate_hz:g} Hz, {least:g} s"
+        yield Problem(("plant", "command_timeout_s"), text)
+
+
+def _plant_inside_stroke(folder: Path, plant: Plant | None, cylinder: Cylinder) -> Iterator[Problem]:
+    if plant is None:
+        return
+    stroke = cylinder.stroke_m if plant.cylinder.stroke_m is None else plant.cylinder.stroke_m
+    if plant.position_m > stroke:
+        yield Problem(("plant", "position_m"), f"must be within the stroke, 0..{stroke} m")
+
+
+class Relation(NamedTuple):
+    """A rule and the tables it is given, in this order."""
+
+    tables: tuple[str, ...]
+    rule: Callable[..., Iterator[Problem]]
+
+
+RELATIONS: Final = (
+    Relation(("bus",), _dbc_exists),
+    Relation(("bus",), _data_ids),
+    Relation(("signals", "bus"), _signals_have_messages),
+    Relation(("limits",), _limits_in_order),
+    Relation(("limits",), _ramp_within_slew),
+    Relation(("limits", "cylinder"), _limits_inside_stroke),
+    Relation(("reference", "limits"), _reference_inside_limits),
+    Relation(("telemetry",), _listens_on_loopback),
+    Relation(("plant", "loop"), _timeout_spans_periods),
+    Relation(("plant", "cylinder"), _plant_inside_stroke),
+)
+
+
+def violated(sections: Mapping[str, Any], folder: Path) -> list[Problem]:
+    """Problems between the valid tables in `sections`; `folder` holds the TOML file."""
+    return [
+        problem
+        for tables, rule in RELATIONS
+        if all(table in sections for table in tables)
+        for problem in rule(folder, *(sections[table] for table in tables))
+    ]

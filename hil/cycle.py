@@ -1,0 +1,311 @@
+"""The cycle: one pure function of (state, inputs) to (state, Snapshot, command frame). No clock, no I/O, no randomness.
+
+Its state is one arena (`Cycle.arena`), which every component lives in: saving its bytes is a checkpoint, and the same
+bytes with the same inputs give the same Snapshots, bit for bit, on the same build.
+"""
+
+from math import isfinite, nan
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servohil.control import intsmc
+from servohil.control.reference import evaluate
+from servohil.estimators import SRUKF
+from servohil.estimators.leakage.residual_monitor import ResidualMonitor
+from servohil.estimators.models import cylinder
+from servohil.hil import assemble, events, parameters
+from servohil.hil.arena import Arena
+from servohil.hil.commands import Command, Result
+from servohil.hil.config import Rig
+from servohil.hil.control_word import control_word
+from servohil.hil.gate import POWER_UP, DeviceState, Event, GateState, gate
+from servohil.hil.inputs import BUS_DOWN, BUS_OFF
+from servohil.hil.sensing import Sensing
+from servohil.hil.snapshot import FIELDS, SNAPSHOT
+
+NS_PER_S: Final = 1_000_000_000
+PA_PER_MPA: Final = 1e6
+LONGEST_PREDICTION: Final = 200  # periods; after a longer gap the filter starts anew from the next measurement
+HOLD, ACTIVE, INIT = int(DeviceState.HOLD), int(DeviceState.ACTIVE), int(DeviceState.INIT)
+OVERRUNS_HOLD_AFTER: Final = 3  # in a row
+OVERRUNS_FAULT_AFTER: Final = 10
+
+# int64 words of the cycle's own state.
+(
+    DEVICE, GOAL, FAULT, RAMP_LEFT, FIRST_ACTIVE, ENTERED, STARTED, OVERRUNS, OVERRUNS_IN_A_ROW, REJECTED, REPAIRS,
+    COMMAND_SEQ, COMMAND_RESULT, PARAM_VERSION, LEAK_SINCE, OTHER_COMMANDERS, N_WORDS,
+) = range(17)  # fmt: skip
+# float64 words.
+START_M, COMMAND_V, N_NUMBERS = range(3)
+
+
+class Cycle:
+    """One controller, ready to run.
+
+    Args:
+        rig: the configuration.
+        listen_only: shadow mode: the command message is received instead of sent, and is what the filter takes as input.
+
+    Raises:
+        DbcError, GainError, ReferenceError, ValueError: what of the configuration cannot work, named.
+    """
+
+    def __init__(self, rig: Rig, listen_only: bool = False) -> None:
+        self.rig = rig
+        self.listen_only = listen_only
+        command = assemble.command_message(rig)
+        sensors = assemble.sensor_messages(rig)
+        self.codec = assemble.load_bus_codec(
+            rig, receive=[*sensors, command] if listen_only else sensors, transmit=[] if listen_only else [command]
+        )
+        codec_f8, codec_i8 = self.codec.state_size
+        profile = assemble.build_profile(rig).vector()
+        self.arena = Arena(
+            f8={
+                "profile": profile.size,
+                "codec": codec_f8,
+                "filter": SRUKF.arena_size(cylinder.N_STATES, cylinder.N_OUTPUTS),
+                "monitor": ResidualMonitor.ARENA_SIZE,
+                "law": intsmc.INTSMC_STATE_SIZE,
+                "parameters": parameters.N_PARAMETERS,
+                "numbers": N_NUMBERS,
+            },
+            i8={"codec": codec_i8, "words": N_WORDS},
+        )
+        self._words = self.arena.i8["words"]
+        self._numbers = self.arena.f8["numbers"]
+        self.codec.attach(self.arena.f8["codec"], self.arena.i8["codec"])
+        self.filter = assemble.build_filter(rig, self.arena.f8["filter"])
+        self.monitor = assemble.build_monitor(rig, self.arena.f8["monitor"])
+        self._reactions = load_reactions(rig.leakage.reaction)
+        self._profile = self.arena.f8["profile"]
+        self._profile[:] = profile
+        self._bounds = assemble.build_bounds(rig)
+        self._sensing = Sensing(rig, self.codec)
+        self._law = self.arena.f8["law"]
+        self._gains = assemble.build_gains(rig).vector()
+        self.parameters = parameters.parameter_table(rig)
+        self._tunables = self.arena.f8["parameters"]
+        self._tunables[: len(self.parameters)] = [entry.value for entry in self.parameters]
+        self._apply_parameters()
+        self._plant_vector = rig.cylinder.parameters().vector()
+        self.period_ns = rig.loop.period_ns
+        self.dt = self.period_ns / NS_PER_S
+        self._record = np.zeros(1, dtype=SNAPSHOT)
+        self.snapshot: Any = self._record[0]
+        self.snapshot_bytes = memoryview(self._record.view(np.uint8))
+        n_integers = sum(kind == "<i8" for _, kind, _, _ in FIELDS)
+        self._snapshot_i8 = self._record.view(np.int64)[:n_integers]
+        self._snapshot_f8 = self._record.view(np.float64)[n_integers:]
+        self._reference = np.zeros(4)
+        self._error = np.zeros(3)
+        self._jerk = np.zeros(3)
+        self._residuals = np.zeros(2)
+        self._variances = np.ones(2)
+        self._missing = np.full(cylinder.N_OUTPUTS, nan)
+        self._command_values = np.zeros(0)
+        self.command_id = 0
+        if not listen_only:
+            self._command_index = self.codec.message_index(command)
+            self.command_id = self.codec.transmit_ids[0]
+            slots = list(self.codec.slots(self._command_index))
+            self._command_values = np.zeros(len(slots))
+            self._voltage_at = slots.index(self.codec.slot(rig.signals.command))
+            self._word_at = slots.index(self.codec.slot(rig.signals.control_word))
+        else:
+            self._observed_slot = self.codec.slot(rig.signals.command)
+        self._words[[FIRST_ACTIVE, LEAK_SINCE]] = -1
+        self._keep(POWER_UP)
+
+    def step(self, header: Any, frames: NDArray[Any]) -> bytes:
+        """One cycle: fills `self.snapshot` and returns the data bytes of the command frame (empty in shadow mode).
+
+        Args:
+            header: a record of INPUTS_HEADER.
+            frames: (>= n_frames,) of FRAME, the frames drained in this cycle.
+        """
+        words = self._words
+        cycle, t_ns, skipped = int(header["cycle"]), int(header["t_ns"]), int(header["skipped"])
+        words[OVERRUNS] += skipped > 0
+        words[OVERRUNS_IN_A_ROW] = words[OVERRUNS_IN_A_ROW] + 1 if skipped else 0
+        words[REJECTED] += self.codec.receive(frames, int(header["n_frames"]), t_ns)
+        sensed = self._sensing.read(t_ns, self._valve_in_force())
+        status = self._estimate(sensed.complete, skipped)
+        command, result = self._operator(header)
+        found = self._events(header, sensed, status, skipped)
+        if self._diagnose(int(words[DEVICE]), sensed.complete, skipped, t_ns):
+            found |= LEAK_ALARM
+        requested = self._control(int(words[DEVICE]), cycle)
+        ready = bool(words[STARTED]) and not found & SENSOR_STALE
+        decision = gate(
+            self._gate_state(), found, command, requested, ready, self._reactions, self._limits, 1 + skipped
+        )
+        before = int(words[DEVICE])
+        self._keep(decision.state)
+        if int(words[DEVICE]) != before:
+            self._enter(cycle)
+        if int(header["command_seq"]):
+            words[COMMAND_SEQ] = header["command_seq"]
+            words[COMMAND_RESULT] = decision.result if result == Result.NONE else result
+        frame = b"" if self.listen_only else self._encode(decision.permitted_v, int(words[DEVICE]))
+        self._fill(header, sensed, status, decision.events, requested, decision.permitted_v)
+        return frame
+
+    def zero_frame(self) -> bytes:
+        """A command frame with zero volts and every enable bit off: the last word on the bus."""
+        return self._encode(0.0, DeviceState.INIT)
+
+    def _encode(self, command_v: float, device: int) -> bytes:
+        values = self._command_values
+        values[self._voltage_at] = command_v
+        values[self._word_at] = control_word(device)
+        return self.codec.encode(self._command_index, values)
+
+    def _valve_in_force(self) -> float:
+        if self.listen_only:
+            observed = float(self.codec.values[self._observed_slot])
+            return observed if isfinite(observed) else 0.0
+        return float(self._numbers[COMMAND_V])
+
+    def _estimate(self, complete: bool, skipped: int) -> int:
+        """Predict over the past interval (and over skipped ones), correct with what came; returns the filter's status."""
+        words, sensing = self._words, self._sensing
+        y, u = sensing.y, sensing.u
+        if skipped > LONGEST_PREDICTION:
+            words[STARTED] = 0
+        if not words[STARTED]:
+            if not complete:
+                return 0
+            self.filter.reset(x0=np.array([y[0], 0.0, y[1], y[2]]))
+            words[STARTED] = 1
+            return 0
+        for _ in range(skipped):
+            self.filter.step(u, self._missing)
+        status = int(self.filter.step(u, y))
+        words[REPAIRS] += (status & FILTER_TROUBLE) != 0
+        return status
+
+    def _operator(self, header: Any) -> tuple[int, Result]:
+        """What of the operator's command concerns the gate, and the result of what does not."""
+        code = int(header["command_code"])
+        if code == Command.SET_PARAM:
+            index, value = int(header["command_index"]), float(header["command_value"])
+            result = parameters.change(self._tunables, index, value, self.parameters, self.rig)
+            if result == Result.ACCEPTED:
+                self._words[PARAM_VERSION] += 1
+                self._apply_parameters()
+            return Command.NONE, result
+        if code == Command.ACKNOWLEDGE:
+            self.monitor.acknowledge()
+            self._words[LEAK_SINCE] = -1
+            return Command.NONE, Result.ACCEPTED
+        return code, Result.NONE
+
+    def _apply_parameters(self) -> None:
+        """Bring everything that is derived from the tunables in line with them; also after a restored checkpoint."""
+        values = self._tunables
+        limits = self.rig.limits
+        self.monitor.set_thresholds(values[parameters.THRESHOLD_SIGMA], values[parameters.CUSUM_THRESHOLD])
+        self._gains[intsmc.SWITCHING] = values[parameters.SWITCHING_GAIN]
+        self._limits = gate_limits(
+            float(values[parameters.COMMAND_MAX]), limits.command_slew_v_per_s, limits.ramp_down_s, self.dt
+        )
+
+    def restore(self, checkpoint: bytes) -> None:
+        """Continue from a checkpoint (`arena.save()`). Raises ValueError if it belongs to another configuration."""
+        self.arena.restore(checkpoint)
+        self._apply_parameters()
+
+    def _events(self, header: Any, sensed: SensorView, status: int, skipped: int) -> int:
+        words = self._words
+        found = events.loop_events(int(words[OVERRUNS_IN_A_ROW]), OVERRUNS_HOLD_AFTER, OVERRUNS_FAULT_AFTER)
+        if words[STARTED]:
+            found |= events.sensor_events(sensed, self._bounds, skipped * self.period_ns)
+            found |= events.estimate_events(float(self.filter.x[1]), self._bounds, bool(status & DIVERGED))
+        others = int(self.codec.counters[:, Kind.OWN_ID].sum())
+        if others > words[OTHER_COMMANDERS]:
+            words[OTHER_COMMANDERS] = others
+            found |= SECOND_COMMANDER
+        flags = int(header["bus_flags"])
+        if flags & BUS_OFF or flags & BUS_DOWN:
+            found |= BUS_OFF_EVENT
+        return found
+
+    def _diagnose(self, device: int, complete: bool, skipped: int, t_ns: int) -> bool:
+        """Run the leak monitor on this cycle's residuals; returns whether its alarm stands."""
+        words, monitor = self._words, self.monitor
+        moving = device == ACTIVE or (self.listen_only and bool(words[STARTED]))
+        self._residuals_of_filter()
+        alarm = monitor.step(self._residuals, self._variances, moving and complete and not skipped)
+        if alarm and words[LEAK_SINCE] < 0:
+            words[LEAK_SINCE] = t_ns
+        return bool(alarm)
+
+    def _control(self, device: int, cycle: int) -> float:
+        """What the law asks for, V; 0.0 where no law runs. Fills the reference."""
+        reference = self._reference
+        if device not in (HOLD, ACTIVE):
+            reference[:] = nan
+            return 0.0
+        x, words = self.filter.x, self._words
+        start = float(self._numbers[START_M])
+        if device == HOLD:
+            reference[:] = 0.0
+            reference[0] = start
+        else:
+            evaluate(self._profile, (cycle - int(words[ENTERED])) * self.dt, start, reference)
+        cylinder.jerk_model(x, self._sensing.u, self._plant_vector, self._jerk)
+        error = self._error
+        error[0] = x[0] - reference[0]
+        error[1] = x[1] - reference[1]
+        error[2] = cylinder.acceleration(x, self._plant_vector) - reference[2]
+        jerk, limit = self._jerk, self._limits.command_max_v
+        return float(
+            intsmc.intsmc_step(
+                self._law, self._gains, error, reference[3], jerk[0], jerk[1], jerk[2], limit, self.dt
+            )
+        )
+
+    def _enter(self, cycle: int) -> None:
+        """The device state changed: every entry starts at the measured position, at rest, with a fresh law."""
+        words = self._words
+        device = int(words[DEVICE])
+        words[ENTERED] = cycle
+        self._numbers[START_M] = self.filter.x[0]
+        intsmc.reset(self._law)
+        if device == ACTIVE:
+            parameters.put_into_profile(self._tunables, self.parameters, self._profile)
+            if words[FIRST_ACTIVE] < 0:
+                words[FIRST_ACTIVE] = cycle
+
+    def _gate_state(self) -> GateState:
+        words = self._words
+        return GateState(
+            int(words[DEVICE]), int(words[GOAL]), int(words[FAULT]), int(words[RAMP_LEFT]), float(self._numbers[COMMAND_V])
+        )
+
+    def _keep(self, state: GateState) -> None:
+        words = self._words
+        words[DEVICE], words[GOAL], words[FAULT], words[RAMP_LEFT], self._numbers[COMMAND_V] = state
+
+    def _fill(self, header: Any, sensed: SensorView, status: int, found: int, requested: float, permitted: float) -> None:
+        """Write this cycle's Snapshot, integers first, in the order of `snapshot.FIELDS`."""
+        words, monitor, filter_ = self._words, self.monitor, self.filter
+        cycle, first_active = int(header["cycle"]), int(words[FIRST_ACTIVE])
+        active_t_ns = (cycle - first_active) * self.period_ns if first_active >= 0 else -1
+        self._snapshot_i8[:] = (
+            cycle, header["t_ns"], active_t_ns, words[DEVICE], found, words[FAULT], header["skipped"], words[OVERRUNS],
+            header["lateness_ns"], header["exec_ns"], header["n_frames"], words[REJECTED], header["tx_failed"],
+            status, words[REPAIRS], monitor.alarm, monitor.channel, words[LEAK_SINCE],
+            words[COMMAND_SEQ], words[COMMAND_RESULT], words[PARAM_VERSION],
+        )  # fmt: skip
+        x, reference = filter_.x * TO_SI, self._reference
+        std = np.sqrt(np.diagonal(filter_.P)) * TO_SI
+        self._snapshot_f8[:] = (
+            sensed.position_m, sensed.pressure_a_pa, sensed.pressure_b_pa, sensed.supply_pa, sensed.tank_pa,
+            sensed.spool_v, *x, *std, filter_.nis, *reference, self._law[intsmc.SIGMA], requested, permitted,
+            *self._residuals, monitor.threshold_a_pa, monitor.threshold_b_pa, monitor.cusum_a, monitor.cusum_b,
+            monitor.cusum_threshold,
+        )  # fmt: skip

@@ -1,0 +1,84 @@
+"""The Inputs of one cycle as bytes: everything the pure cycle is told from outside, as ring and recording carry it.
+
+A fixed header (what the shell measured and which command it hands over) followed by the frames drained in this cycle.
+"""
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servohil.drivers.frame import FRAME
+
+# (name, type, meaning). In lockstep `t_ns` is the cycle number times the period, `lateness_ns` and `exec_ns` are 0.
+HEADER_FIELDS: Final[tuple[tuple[str, str, str], ...]] = (
+    ("cycle", "<i8", "cycle number; jumps by 1 + skipped"),
+    ("t_ns", "<i8", "monotonic time of this cycle since the loop started"),
+    ("skipped", "<i8", "whole periods skipped before this cycle"),
+    ("lateness_ns", "<i8", "wake-up behind the deadline, previous cycle"),
+    ("exec_ns", "<i8", "execution time, previous cycle"),
+    ("n_frames", "<i8", "FRAME records that follow the header"),
+    ("tx_failed", "<i8", "commands the bus did not take since the start"),
+    ("bus_flags", "<i8", "BUS_OFF | BUS_DOWN as the port reported them"),
+    ("command_seq", "<i8", "sequence number of the operator command handed over in this cycle, 0 without one"),
+    ("command_code", "<i8", "hil.commands.Command"),
+    ("command_index", "<i8", "parameter index of SET_PARAM"),
+    ("command_value", "<f8", "parameter value of SET_PARAM, SI"),
+)
+INPUTS_HEADER: Final = np.dtype([(name, kind) for name, kind, _ in HEADER_FIELDS])
+HEADER_BYTES: Final = INPUTS_HEADER.itemsize
+FRAME_BYTES: Final = FRAME.itemsize
+assert HEADER_BYTES == 96
+
+BUS_OFF: Final = 1
+BUS_DOWN: Final = 2
+
+
+class InputsError(ValueError):
+    """Bytes that are not the Inputs of a cycle."""
+
+
+class Inputs(NamedTuple):
+    """Read-only views of one cycle's inputs: `header` scalar of INPUTS_HEADER, `frames` (n_frames,) of FRAME."""
+
+    header: Any
+    frames: NDArray[np.void]
+
+
+class InputsBuffer:
+    """Preallocated inputs of one cycle: the shell fills the views, the ring takes `payload` without a copy.
+
+    `header` is a scalar view of INPUTS_HEADER, `frames` (max_frames,) of FRAME. `integers` (11,) is the same header as
+    int64 in HEADER_FIELDS order, for a loop that counts microseconds.
+    """
+
+    def __init__(self, max_frames: int = 256) -> None:
+        self._bytes = np.zeros(HEADER_BYTES + max_frames * FRAME_BYTES, np.uint8)
+        head = self._bytes[:HEADER_BYTES]
+        self.header: Any = head.view(INPUTS_HEADER)[0]
+        self.integers: NDArray[np.int64] = head[:88].view(np.int64)
+        self.frames: NDArray[np.void] = self._bytes[HEADER_BYTES:].view(FRAME)
+        self._view = self._bytes.data
+
+    def payload(self, n_frames: int) -> memoryview:
+        """The bytes of header and first `n_frames` frames, sharing this buffer; writes `n_frames` into the header.
+
+        Raises InputsError if the buffer does not hold that many.
+        """
+        if not 0 <= n_frames <= len(self.frames):
+            raise InputsError(f"n_frames = {n_frames}: this buffer holds 0 to {len(self.frames)} frames")
+        self.integers[5] = n_frames
+        return self._view[: HEADER_BYTES + n_frames * FRAME_BYTES]
+
+
+def parse(payload: bytes | bytearray | memoryview) -> Inputs:
+    """Views of inputs bytes, without a copy. Raises InputsError if their length does not match `n_frames`."""
+    size = len(payload)
+    if size < HEADER_BYTES:
+        raise InputsError(f"inputs of {size} bytes: a header alone has {HEADER_BYTES}")
+    header = np.frombuffer(payload, INPUTS_HEADER, 1)[0]
+    n_frames = int(header["n_frames"])
+    expected = HEADER_BYTES + n_frames * FRAME_BYTES
+    if n_frames < 0 or size != expected:
+        raise InputsError(f"inputs of {size} bytes: n_frames = {n_frames} asks for {expected}")
+    return Inputs(header, np.frombuffer(payload, FRAME, n_frames, HEADER_BYTES))

@@ -1,0 +1,170 @@
+"""Read a recording as far as it goes: finished, cut by kill -9 or a full disk, or damaged somewhere.
+
+Records are framed by their own length, so that a file is good up to its last complete record, whatever comes after.
+"""
+
+import json
+import struct
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import breakup_chunk
+from mcap.writer import MCAP0_MAGIC
+from zstandard import ZstdError
+
+from servohil.hil.recording.layout import CHECKPOINT, EVENT, GAP_CODE, INPUTS, METADATA, PROFILE, STATE, RecordingError
+from servohil.hil.snapshot import SNAPSHOT, SNAPSHOT_VERSION
+from servohil.hil.telemetry.encoding import EncodingError, snapshot_of
+from servohil.hil.telemetry.servohil_pb2 import Checkpoint as CheckpointMessage
+from servohil.hil.telemetry.servohil_pb2 import CycleInputs
+
+_FRAME: Final = struct.Struct("<BQ")
+_READ: Final[dict[int, Any]] = {
+    Opcode.HEADER: Header,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.METADATA: Metadata,
+}
+
+
+class Checkpoint(NamedTuple):
+    """The whole cycle state before the next cycle."""
+
+    state: bytes
+
+
+class Cycle(NamedTuple):
+    """One cycle: SNAPSHOT record, bit for bit, and the inputs bytes (hil.inputs.parse)."""
+
+    snapshot: bytes
+    inputs: bytes
+
+
+class Gap(NamedTuple):
+    """`lost` records are missing here."""
+
+    lost: int
+
+
+class Event(NamedTuple):
+    """Something that happened; keys severity, code, text and more."""
+
+    content: dict[str, Any]
+
+
+Item = Checkpoint | Cycle | Gap | Event
+
+
+def series(path: Path) -> list[Path]:
+    """All files of the recording whose first file is `path`, in order."""
+    rest = sorted(path.parent.glob(f"{path.stem}-[0-9][0-9][0-9]{path.suffix}"))
+    return [path, *rest]
+
+
+class Recording:
+    """One file. Constructing reads what stands before the first cycle; iterate `items` or `replayable` for the rest.
+
+    `complete` and `problem` are known when an iteration has come to its end: a file that was cut has complete = False and
+    problem None, a damaged one says what and where.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        """Raises RecordingError if there is no such file, or it is no recording of servohil."""
+        self.path = Path(path)
+        self.metadata: dict[str, str] = {}
+        self.attachments: dict[str, bytes] = {}
+        self.complete = False
+        self.problem: str | None = None
+        try:
+            with self.path.open("rb") as stream:
+                magic = stream.read(len(MCAP0_MAGIC))
+        except OSError as error:
+            raise RecordingError(f"cannot read {self.path}: {error.strerror}") from error
+        if magic != MCAP0_MAGIC:
+            raise RecordingError(f"{self.path} is not a recording: it does not begin as an MCAP file")
+        for record in self.records():
+            if isinstance(record, Header):
+                if record.profile != PROFILE:
+                    raise RecordingError(f"{self.path} is an MCAP file of profile {record.profile!r}, not {PROFILE!r}")
+            elif isinstance(record, Metadata) and record.name == METADATA:
+                self.metadata = dict(record.metadata)
+            elif isinstance(record, Attachment):
+                self.attachments[record.name] = record.data
+            else:
+                break
+        if not self.metadata:
+            raise RecordingError(f"{self.path} breaks off before its description: nothing was recorded")
+
+    def records(self) -> Iterator[McapRecord]:
+        """Every complete MCAP record up to the index: Header, Schema, Channel, Message, Attachment, Metadata."""
+        self.complete, self.problem = False, None
+        size = self.path.stat().st_size
+        with self.path.open("rb") as stream:
+            at = stream.seek(len(MCAP0_MAGIC))
+            while len(head := stream.read(_FRAME.size)) == _FRAME.size:
+                opcode, length = _FRAME.unpack(head)
+                if opcode == Opcode.DATA_END:
+                    self.complete = True
+                    return
+                if at + _FRAME.size + length > size:
+                    return
+                body = stream.read(length)
+                try:
+                    if opcode == Opcode.CHUNK:
+                        yield from breakup_chunk(Chunk.read(ReadDataStream(BytesIO(body))), validate_crc=True)
+                    elif opcode == Opcode.MESSAGE:
+                        yield Message.read(ReadDataStream(BytesIO(body)), length)
+                    elif opcode in _READ:
+                        yield _READ[opcode].read(ReadDataStream(BytesIO(body)))
+                except (McapError, ZstdError, struct.error, ValueError) as error:
+                    self.problem = f"{self.path} is damaged at byte {at}: {str(error) or type(error).__name__}"
+                    return
+                at += _FRAME.size + length
+
+    def items(self) -> Iterator[Item]:
+        """Everything recorded, in order. Raises RecordingError if the file's snapshots are not laid out as this build's."""
+        version, size = self.metadata.get("snapshot_version"), self.metadata.get("snapshot_bytes")
+        if (version, size) != (str(SNAPSHOT_VERSION), str(SNAPSHOT.itemsize)):
+            raise RecordingError(
+                f"{self.path} was recorded with snapshot version {version} ({size} bytes); "
+                f"this build has version {SNAPSHOT_VERSION} ({SNAPSHOT.itemsize} bytes)"
+            )
+        topics: dict[int, str] = {}
+        snapshot = b""
+        for record in self.records():
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            if not isinstance(record, Message):
+                continue
+            topic = topics.get(record.channel_id, "")
+            try:
+                if topic == STATE:
+                    snapshot = snapshot_of(record.data)
+                elif topic == INPUTS:
+                    yield Cycle(snapshot, CycleInputs.FromString(record.data).payload)
+                elif topic == CHECKPOINT:
+                    yield Checkpoint(CheckpointMessage.FromString(record.data).state)
+                elif topic == EVENT:
+                    content = json.loads(record.data)
+                    yield Gap(content["lost"]) if content.get("code") == GAP_CODE else Event(content)
+            except EncodingError as error:
+                raise RecordingError(f"{self.path}: {error}") from error
+
+    def replayable(self) -> Iterator[Checkpoint | Cycle]:
+        """Checkpoints, and the cycles that one of them leads to without a gap. Others are left out."""
+        led = False
+        for item in self.items():
+            if isinstance(item, Checkpoint):
+                led = True
+                yield item
+            elif isinstance(item, Gap):
+                led = False
+            elif isinstance(item, Cycle) and led:
+                yield item

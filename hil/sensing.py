@@ -1,0 +1,59 @@
+"""From the codec's decoded signals to what the cycle works with: a SensorView, the filter's y and u."""
+
+from math import isfinite, nan
+from typing import Final
+
+import numpy as np
+
+from servohil.drivers.codec import Codec
+from servohil.hil.assemble import SENSOR_SIGNALS, message_of
+from servohil.hil.config import Rig
+from servohil.hil.events import SensorView
+
+PA_PER_MPA: Final = 1e6
+NEVER_NS: Final = 1 << 62
+
+
+class Sensing:
+    """Reads one cycle's measurements out of an attached codec.
+
+    `y` (3,) = position m, pressure A MPa, pressure B MPa, NaN where this cycle brought nothing;
+    `u` (3,) = valve V over the past interval, supply Pa, tank Pa.
+    """
+
+    def __init__(self, rig: Rig, codec: Codec) -> None:
+        self._codec = codec
+        paths = {name: getattr(rig.signals, name) for name in SENSOR_SIGNALS}
+        self._slots = [codec.slot(path) for path in paths.values()]
+        self._messages = [codec.message_index(message_of(path)) for path in paths.values()]
+        # The spool signal improves the estimate but is not needed for it: a rig may have a valve without feedback.
+        needed = [name for name in SENSOR_SIGNALS if name != "spool"]
+        self._needed = sorted({codec.message_index(message_of(paths[name])) for name in needed})
+        self.y = np.full(3, nan)
+        self.u = np.zeros(3)
+
+    def read(self, t_ns: int, last_command_v: float) -> SensorView:
+        """The measurements of this cycle at `t_ns`; `last_command_v` stands in for a spool that is not measured."""
+        codec = self._codec
+        values, fresh = codec.values, codec.fresh
+        slots, messages = self._slots, self._messages
+        position = float(values[slots[0]]) if fresh[messages[0]] else nan
+        pressure_a = float(values[slots[1]]) if fresh[messages[1]] else nan
+        pressure_b = float(values[slots[2]]) if fresh[messages[2]] else nan
+        supply = float(values[slots[3]])
+        tank = float(values[slots[4]])
+        spool = float(values[slots[5]]) if fresh[messages[5]] else nan
+        y, u = self.y, self.u
+        y[0] = position
+        y[1] = pressure_a / PA_PER_MPA
+        y[2] = pressure_b / PA_PER_MPA
+        u[0] = spool if isfinite(spool) else last_command_v
+        u[1] = supply
+        u[2] = tank
+        oldest = 0
+        worst = 0
+        for index in self._needed:
+            last = int(codec.last_good_ns[index])
+            oldest = max(oldest, NEVER_NS if last < 0 else t_ns - last)
+            worst = max(worst, int(codec.bad_in_a_row[index]))
+        return SensorView(position, pressure_a, pressure_b, supply, tank, spool, oldest, worst)

@@ -1,0 +1,66 @@
+"""The Snapshot: everything one cycle saw, concluded and sent, as one fixed record of 8-byte fields.
+
+Deterministic in the cycle's state and inputs; copied byte for byte into the ring, the recording and, field by field, into
+the Protobuf `State` message. NaN in a measured field means: no valid frame brought this signal in this cycle.
+"""
+
+from typing import Final
+
+import numpy as np
+
+# (name, type, unit, meaning). The order is the record's layout; append only, and raise SNAPSHOT_VERSION.
+FIELDS: Final[tuple[tuple[str, str, str, str], ...]] = (
+    ("cycle", "<i8", "1", "cycle number; jumps by 1 + skipped"),
+    ("t_ns", "<i8", "ns", "monotonic time of this cycle since the loop started"),
+    ("active_t_ns", "<i8", "ns", "time since the first ACTIVE cycle; -1 before"),
+    ("state", "<i8", "1", "CiA 408 device state (hil.gate.DeviceState)"),
+    ("events", "<i8", "bits", "events seen by the gate in this cycle (hil.gate.Event)"),
+    ("fault", "<i8", "bits", "events latched since the last reset"),
+    ("skipped", "<i8", "1", "whole periods skipped before this cycle"),
+    ("overruns", "<i8", "1", "overruns since the start"),
+    ("lateness_ns", "<i8", "ns", "wake-up behind the deadline, previous cycle"),
+    ("exec_ns", "<i8", "ns", "execution time, previous cycle"),
+    ("rx_frames", "<i8", "1", "frames drained in this cycle"),
+    ("rx_rejected", "<i8", "1", "frames refused since the start (CRC, counter, length, range, foreign sender)"),
+    ("tx_failed", "<i8", "1", "commands the bus did not take since the start"),
+    ("filter_status", "<i8", "1", "status code of the estimator's step"),
+    ("filter_repairs", "<i8", "1", "estimator steps that were gated or repaired since the start"),
+    ("leak_alarm", "<i8", "1", "0 none, 1 alarm (latched until acknowledged)"),
+    ("leak_channel", "<i8", "bits", "which residuals raised it: 1 pressure A, 2 pressure B"),
+    ("leak_since_ns", "<i8", "ns", "t_ns of the alarm, -1 without one"),
+    ("command_seq", "<i8", "1", "sequence number of the last operator command or parameter change handled"),
+    ("command_result", "<i8", "1", "its result (hil.commands.Result)"),
+    ("param_version", "<i8", "1", "counts accepted parameter changes"),
+    ("position_m", "<f8", "m", "measured position, 0 = retracted"),
+    ("pressure_a_pa", "<f8", "Pa", "measured pressure, chamber A (cap side)"),
+    ("pressure_b_pa", "<f8", "Pa", "measured pressure, chamber B (rod side)"),
+    ("supply_pa", "<f8", "Pa", "measured supply pressure"),
+    ("tank_pa", "<f8", "Pa", "measured return line pressure"),
+    ("spool_v", "<f8", "V", "measured spool position, in volts of command"),
+    ("est_position_m", "<f8", "m", "estimated position"),
+    ("est_velocity_mps", "<f8", "m/s", "estimated velocity"),
+    ("est_pressure_a_pa", "<f8", "Pa", "estimated pressure A"),
+    ("est_pressure_b_pa", "<f8", "Pa", "estimated pressure B"),
+    ("std_position_m", "<f8", "m", "standard deviation of the estimate"),
+    ("std_velocity_mps", "<f8", "m/s", "standard deviation of the estimate"),
+    ("std_pressure_a_pa", "<f8", "Pa", "standard deviation of the estimate"),
+    ("std_pressure_b_pa", "<f8", "Pa", "standard deviation of the estimate"),
+    ("nis", "<f8", "1", "normalised innovation squared"),
+    ("ref_position_m", "<f8", "m", "reference position"),
+    ("ref_velocity_mps", "<f8", "m/s", "its first derivative"),
+    ("ref_acceleration_mps2", "<f8", "m/s2", "its second derivative"),
+    ("ref_jerk_mps3", "<f8", "m/s3", "its third derivative"),
+    ("sliding", "<f8", "m/s", "sliding variable sigma of the control law"),
+    ("law_v", "<f8", "V", "what the control law asked for"),
+    ("command_v", "<f8", "V", "what the gate permitted and the frame carries"),
+    ("residual_a_pa", "<f8", "Pa", "measured - estimated pressure A"),
+    ("residual_b_pa", "<f8", "Pa", "measured - estimated pressure B"),
+    ("threshold_a_pa", "<f8", "Pa", "threshold of residual A"),
+    ("threshold_b_pa", "<f8", "Pa", "threshold of residual B"),
+    ("cusum_a", "<f8", "1", "CUSUM statistic of residual A, in standard deviations"),
+    ("cusum_b", "<f8", "1", "CUSUM statistic of residual B, in standard deviations"),
+    ("cusum_threshold", "<f8", "1", "alarm level of both CUSUM statistics"),
+)
+
+SNAPSHOT_VERSION: Final = 1
+SNAPSHOT = np.dtype([(name, kind) for name, kind, _, _ in FIELDS])

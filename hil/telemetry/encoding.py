@@ -1,0 +1,81 @@
+"""Snapshots to Protobuf and back as one copy between fixed places.
+
+All fields of `State` have wire types of fixed length (make_proto.py), so its encoding is [tag, 8 bytes] per field, always
+the same length, and a batch of samples is one numpy gather: 1 us per sample against 15 us through the message class.
+Zero is written out too, which proto3 allows and every parser reads.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servohil.hil.snapshot import FIELDS, SNAPSHOT
+from servohil.hil.telemetry.servohil_pb2 import StateBatch
+
+SNAPSHOT_BYTES: Final = SNAPSHOT.itemsize
+_SAMPLES_FIELD: Final = 15
+_FIXED64, _LENGTH_DELIMITED = 1, 2
+
+
+def varint(value: int) -> bytes:
+    """Protobuf's base-128 integer, value >= 0."""
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+def _layout() -> tuple[bytes, NDArray[np.intp]]:
+    """A State with empty fields, and the place of every snapshot byte in it."""
+    template = bytearray()
+    places = []
+    for number in range(1, len(FIELDS) + 1):
+        template += varint(number << 3 | _FIXED64)
+        places += range(len(template), len(template) + 8)
+        template += bytes(8)
+    return bytes(template), np.array(places, np.intp)
+
+
+_TEMPLATE, _PLACES = _layout()
+STATE_BYTES: Final = len(_TEMPLATE)
+_PREFIX: Final = varint(_SAMPLES_FIELD << 3 | _LENGTH_DELIMITED) + varint(STATE_BYTES)
+_ROW: Final = np.frombuffer(_PREFIX + _TEMPLATE, np.uint8)
+_ROW_PLACES: Final = _PLACES + len(_PREFIX)
+_TAGS: Final = np.setdiff1d(np.arange(STATE_BYTES), _PLACES)
+_TAG_BYTES: Final = np.frombuffer(_TEMPLATE, np.uint8)[_TAGS].tobytes()
+
+
+class EncodingError(ValueError):
+    """Bytes that are not a State of this build."""
+
+
+def encode_samples(snapshots: bytes) -> NDArray[np.uint8]:
+    """(n, k) bytes: row i is entry i of StateBatch.samples; `snapshots` are n SNAPSHOT records, one after the other."""
+    rows = np.frombuffer(snapshots, np.uint8).reshape(-1, SNAPSHOT_BYTES)
+    out = np.empty((len(rows), len(_ROW)), np.uint8)
+    out[:] = _ROW
+    out[:, _ROW_PLACES] = rows
+    return out
+
+
+def sample_state(row: NDArray[np.uint8]) -> bytes:
+    """The State message inside one row of `encode_samples`."""
+    return row[len(_PREFIX) :].tobytes()
+
+
+def encode_batch(samples: NDArray[np.uint8], seq: int, t_unix_ns: int, age_ns: int, lost: int) -> bytes:
+    """A StateBatch of rows of `encode_samples`; fields of a message may come in any order, so they are just appended."""
+    head: bytes = StateBatch(seq=seq, t_unix_ns=t_unix_ns, age_ns=age_ns, lost=lost).SerializeToString()
+    return head + samples.tobytes()
+
+
+def snapshot_of(state: bytes) -> bytes:
+    """The SNAPSHOT record that `state` was made from, bit for bit. Raises EncodingError for any other layout."""
+    if len(state) == STATE_BYTES:
+        raw = np.frombuffer(state, np.uint8)
+        if raw[_TAGS].tobytes() == _TAG_BYTES:
+            return raw[_PLACES].tobytes()
+    raise EncodingError(f"{len(state)} bytes are not a State as this build records it ({STATE_BYTES} bytes)")

@@ -1,0 +1,170 @@
+"""The truth of the bench: the cylinder integrated by RK4, with end stops, process noise and leaks to switch on.
+
+Same equations as the controller's model (`estimators/models/cylinder.py`), other parameters if wanted, many substeps
+per cycle, and what the model leaves out: the piston stops dead at either end of the stroke, no pressure falls below
+vacuum, the spool does not travel beyond +-10 V.
+"""
+
+from math import isfinite, sqrt
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from servohil.estimators.models import cylinder
+from servohil.estimators.models.cylinder import K_EA, K_EB, K_I, PA_PER_MPA, STROKE, CylinderParameters
+
+Vector = NDArray[np.float64]
+
+SPOOL_LIMIT_V: Final = 10.0
+VACUUM_MPA: Final = -0.1  # gauge
+NOISE_PERIOD_S: Final = 1e-3  # the process noise is stated per millisecond
+LEAKS: Final = {"internal": K_I, "external_a": K_EA, "external_b": K_EB}
+
+_f = njit(cache=True, nogil=True)(cylinder.f)
+
+
+@njit(cache=True, nogil=True)
+def _derivative(x: Vector, u: Vector, p: Vector, dx: Vector) -> None:
+    """Derivative with the end stops: a piston that rests on a stop and is pressed onto it does not accelerate."""
+    _f(x, u, p, dx)
+    if (x[0] <= 0.0 and x[1] <= 0.0 and dx[1] < 0.0) or (x[0] >= p[STROKE] and x[1] >= 0.0 and dx[1] > 0.0):
+        dx[0] = 0.0
+        dx[1] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def _stop(x: Vector, p: Vector) -> None:
+    """Keep the state possible: inelastic end stops, no pressure below vacuum."""
+    if x[0] < 0.0:
+        x[0] = 0.0
+        x[1] = max(x[1], 0.0)
+    elif x[0] > p[STROKE]:
+        x[0] = p[STROKE]
+        x[1] = min(x[1], 0.0)
+    x[2] = max(x[2], VACUUM_MPA)
+    x[3] = max(x[3], VACUUM_MPA)
+
+
+@njit(cache=True, nogil=True)
+def plant_step(x: Vector, u: Vector, p: Vector, noise: Vector, dt: float, substeps: int, work: Vector) -> None:
+    """Advance x (4,) [m, m/s, MPa, MPa] in place by dt seconds: RK4 in `substeps` parts, then add `noise` (4,).
+
+    Args:
+        x: state, scaled as the model scales it.
+        u: (3,) valve V, supply Pa, tank Pa, held over the step.
+        p: (14,) `CylinderParameters.vector()`.
+        noise: (4,) what the disturbance of this step adds to the state.
+        dt: s.
+        substeps: number of RK4 steps.
+        work: (5, 4) scratch.
+    """
+    h = dt / substeps
+    for _ in range(substeps):
+        _derivative(x, u, p, work[0])
+        for i in range(4):
+            work[4, i] = x[i] + 0.5 * h * work[0, i]
+        _derivative(work[4], u, p, work[1])
+        for i in range(4):
+            work[4, i] = x[i] + 0.5 * h * work[1, i]
+        _derivative(work[4], u, p, work[2])
+        for i in range(4):
+            work[4, i] = x[i] + h * work[2, i]
+        _derivative(work[4], u, p, work[3])
+        for i in range(4):
+            x[i] += h / 6.0 * (work[0, i] + 2.0 * (work[1, i] + work[2, i]) + work[3, i])
+        _stop(x, p)
+    for i in range(4):
+        x[i] += noise[i]
+    _stop(x, p)
+
+
+class CylinderPlant:
+    """A cylinder with its valve, in SI units; deterministic: the noise comes in as standard normals."""
+
+    def __init__(
+        self,
+        parameters: CylinderParameters,
+        x0: Vector,
+        supply_pa: float,
+        tank_pa: float,
+        process_std: Vector,
+        substeps: int,
+    ) -> None:
+        """Start at rest or anywhere within the stroke.
+
+        Args:
+            parameters: the truth.
+            x0: (4,) position m, velocity m/s, pressure A Pa, pressure B Pa.
+            supply_pa: supply pressure; the attribute may be changed between steps.
+            tank_pa: pressure of the return line; likewise.
+            process_std: (4,) standard deviation of what is added to the state per millisecond: m, m/s, Pa, Pa.
+            substeps: RK4 steps per call of `step`.
+
+        Raises:
+            ValueError: a number out of range; the message names it.
+        """
+        start, std = np.asarray(x0, dtype=np.float64), np.asarray(process_std, dtype=np.float64)
+        if start.shape != (4,) or not np.isfinite(start).all():
+            raise ValueError(f"plant x0 = {x0!r}: must be 4 finite numbers (m, m/s, Pa, Pa)")
+        if not 0.0 <= start[0] <= parameters.stroke_m:
+            raise ValueError(
+                f"plant position_m = {start[0]!r}: must lie within the stroke, 0 to {parameters.stroke_m!r} m"
+            )
+        if std.shape != (4,) or not (np.isfinite(std).all() and (std >= 0.0).all()):
+            raise ValueError(f"plant process_std = {process_std!r}: must be 4 finite numbers >= 0 (m, m/s, Pa, Pa)")
+        if substeps < 1:
+            raise ValueError(f"plant substeps = {substeps!r}: must be >= 1")
+        self.supply_pa = supply_pa
+        self.tank_pa = tank_pa
+        self.spool_v = 0.0
+        self._substeps = substeps
+        self._p = parameters.vector()
+        self._x = start / _SCALE
+        self._std = std / _SCALE
+        self._u = np.zeros(3)
+        self._work = np.zeros((5, 4))
+
+    @property
+    def state(self) -> Vector:
+        """Copy of the true state (4,): position m, velocity m/s, pressure A Pa, pressure B Pa."""
+        return self._x * _SCALE
+
+    @property
+    def acceleration(self) -> float:
+        """True acceleration away from the end stops, m/s2."""
+        return float(cylinder.acceleration(self._x, self._p))
+
+    def step(self, valve_v: float, normals: Vector, dt: float = 1e-3) -> None:
+        """Advance by dt seconds with the valve held at `valve_v`, limited to +-10 V.
+
+        Args:
+            valve_v: command, V.
+            normals: (4,) independent standard normal numbers, scaled here by the process noise and sqrt(dt / 1 ms).
+            dt: s.
+
+        Raises:
+            ValueError: the command is not finite.
+        """
+        if not isfinite(valve_v):
+            raise ValueError(f"plant valve_v = {valve_v!r}: must be finite")
+        self.spool_v = min(max(valve_v, -SPOOL_LIMIT_V), SPOOL_LIMIT_V)
+        self._u[:] = self.spool_v, self.supply_pa, self.tank_pa
+        noise = self._std * normals * sqrt(dt / NOISE_PERIOD_S)
+        plant_step(self._x, self._u, self._p, noise, dt, self._substeps, self._work)
+
+    def set_leak(self, kind: str, coefficient: float) -> None:
+        """Set the leak of one kind from now on, m3/(s Pa); 0 closes it.
+
+        Raises:
+            ValueError: unknown kind, or a coefficient that is negative or not finite.
+        """
+        if kind not in LEAKS:
+            raise ValueError(f"leak kind {kind!r}: must be one of {', '.join(LEAKS)}")
+        if not isfinite(coefficient) or coefficient < 0.0:
+            raise ValueError(f"leak coefficient = {coefficient!r} m3/(s Pa): must be finite and >= 0")
+        self._p[LEAKS[kind]] = coefficient
+
+
+_SCALE: Final = np.array([1.0, 1.0, PA_PER_MPA, PA_PER_MPA])

@@ -1,0 +1,104 @@
+"""What a report has to keep to, and the lines a terminal shows of it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from servohil.hil.claims import Claim, is_within
+from servohil.hil.claims_page import value_text
+from servohil.hil.gate import DeviceState
+
+PREFIX: Final = "bench"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a run; None leaves a verdict out, as for a bench that is judged on protocol only.
+
+    A leak is judged only where one was planned.
+    """
+
+    tracking_rmse_m: float | None = 1e-3
+    leak_latency_s: float | None = 1.0
+    rate_tolerance: float | None = 0.01  # relative
+
+
+def add_verdicts(report: Mapping[str, Any], limits: Limits = Limits()) -> dict[str, Any]:  # noqa: B008 (frozen)
+    """The report with "verdicts": a list of {name, value, unit, limit, holds}, and "holds": all of them.
+
+    `limit` has the forms of hil.claims; a value of None ("not measured") never holds.
+    """
+    verdicts: list[dict[str, Any]] = []
+
+    def judge(name: str, value: float | int | str | None, unit: str, limit: str) -> None:
+        holds = is_within(value, limit)
+        verdicts.append({"name": name, "value": value, "unit": unit, "limit": limit, "holds": holds})
+
+    if limits.tracking_rmse_m is not None:
+        judge("tracking rmse", report["tracking"]["rmse_m"], "m", f"<= {limits.tracking_rmse_m:g}")
+    if report["leak"]["planned_at_s"] is not None and limits.leak_latency_s is not None:
+        judge("leak detected after", report["leak"]["latency_s"], "s", f"<= {limits.leak_latency_s:g}")
+    judge("false alarms", report["leak"]["false_alarms"], "1", "== 0")
+    judge("final state", report["final_state"], "", f"== {DeviceState.DISABLED.name}")
+    if limits.rate_tolerance is not None:
+        nominal, band = report["rate_hz"], report["rate_hz"] * limits.rate_tolerance
+        judge("rate", report["rate_achieved_hz"], "Hz", f"{nominal - band:g} .. {nominal + band:g}")
+    without_truth = report["tracking"]["cycles_without_truth"] + report["estimation"]["cycles_without_truth"]
+    judge("cycles without truth", without_truth, "1", "== 0")
+    return {**report, "verdicts": verdicts, "holds": all(each["holds"] for each in verdicts)}
+
+
+def verdict_claims(report: Mapping[str, Any], how: str) -> list[Claim]:
+    """The verdicts in the one format of results; `how` is the command and its conditions."""
+    return [
+        Claim.judge(f"{PREFIX}.{v['name'].replace(' ', '_')}", v["value"], v["unit"], v["limit"], how)
+        for v in report["verdicts"]
+    ]
+
+
+def _scaled(value: float | None, factor: float, unit: str, digits: int = 3) -> str:
+    return "not measured" if value is None else f"{value * factor:.{digits}g} {unit}"
+
+
+def _at(value: float | None) -> str:
+    return "never" if value is None else f"at {value:.3f} s"
+
+
+def _pair(figures: Mapping[str, float | None]) -> str:
+    if figures["p50"] is None or figures["p99"] is None:
+        return "none (simulated clock)"
+    return f"p50 {figures['p50']:.0f}, p99 {figures['p99']:.0f} us"
+
+
+def summary_lines(report: Mapping[str, Any]) -> list[str]:
+    """A report in some fifteen lines of text; the verdicts, if it has them, come last."""
+    leak, nmse, telemetry = report["leak"], report["estimation"]["nmse_percent"], report["telemetry"]
+    states = ", ".join(f"{name} {'not measured' if v is None else f'{v:.2g} %'}" for name, v in nmse.items())
+    opened = "none injected" if leak["injected_at_s"] is None else f"{leak['kind']}, {_at(leak['injected_at_s'])}"
+    missing = f", {report['cycles_missing']} missing in the log" if report["cycles_missing"] else ""
+    rows = [
+        ("bus", report["bus"]["interface"]),
+        ("rate", f"{report['rate_hz']:g} Hz, {report['cycles']} cycles, {report['overruns']} overruns{missing}"),
+        ("execution", _pair(report["exec_us"])),
+        ("lateness", _pair(report["lateness_us"])),
+        (
+            "tracking",
+            f"RMSE {_scaled(report['tracking']['rmse_m'], 1e3, 'mm')}, "
+            f"largest {_scaled(report['tracking']['max_m'], 1e3, 'mm')}, from {report['tracking']['from_s']:g} s",
+        ),
+        ("estimation", f"NMSE {states}"),
+        ("leak", opened),
+        ("detected", f"{_at(leak['detected_at_s'])}, {leak['false_alarms']} false alarms"),
+        ("telemetry", f"{_count(telemetry['published'])} published, {_count(telemetry['received'])} received"),
+        ("final state", report["final_state"]),
+        ("recording", report["recording"] or "none"),
+    ]
+    lines = [f"{name:<12} {text}" for name, text in rows]
+    for verdict in report.get("verdicts", []):
+        mark = "ok  " if verdict["holds"] else "FAIL"
+        lines.append(f"{mark} {verdict['name']}: {value_text(verdict['value'], verdict['unit'])} ({verdict['limit']})")
+    return lines
+
+
+def _count(value: int | None) -> str:
+    return "none" if value is None else str(value)

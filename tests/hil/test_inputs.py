@@ -1,0 +1,53 @@
+"""Inputs bytes against struct, and what foreign bytes get."""
+
+import struct
+
+import numpy as np
+import pytest
+
+from servohil.drivers.frame import FRAME_STRUCT
+from servohil.hil.inputs import FRAME_BYTES, HEADER_BYTES, INPUTS_HEADER, InputsBuffer, InputsError, parse
+
+
+def test_layout_is_eleven_integers_a_float_and_the_frames() -> None:
+    buffer = InputsBuffer(4)
+    for i, name in enumerate(INPUTS_HEADER.names or ()):
+        buffer.header[name] = i + 1
+    buffer.header["command_value"] = -0.125
+    FRAME_STRUCT.pack_into(buffer.frames.view(np.uint8).data, 0, 0x101, 8, 0, 0, 77, b"abcdefgh")
+    FRAME_STRUCT.pack_into(buffer.frames.view(np.uint8).data, FRAME_BYTES, 0x202, 2, 1, 0, -1, b"xy")
+    payload = bytes(buffer.payload(2))
+    head = struct.pack("<11qd", 1, 2, 3, 4, 5, 2, 7, 8, 9, 10, 11, -0.125)
+    frames = FRAME_STRUCT.pack(0x101, 8, 0, 0, 77, b"abcdefgh") + FRAME_STRUCT.pack(0x202, 2, 1, 0, -1, b"xy")
+    assert payload == head + frames
+
+
+def test_payload_shares_the_buffer_and_parse_reads_it_back() -> None:
+    buffer = InputsBuffer()
+    assert len(buffer.frames) == 256
+    payload = buffer.payload(3)
+    buffer.integers[0] = 41
+    buffer.frames["id"][:4] = [1, 2, 3, 4]
+    inputs = parse(payload)
+    assert int(inputs.header["cycle"]) == 41
+    assert inputs.frames["id"].tolist() == [1, 2, 3]
+    buffer.integers[0] = 42
+    assert int(inputs.header["cycle"]) == 42
+    with pytest.raises(ValueError, match="read-only"):
+        parse(bytes(payload)).frames["id"][0] = 9
+
+
+@pytest.mark.parametrize("wrong", [b"", b"\0" * (HEADER_BYTES - 1), b"\0" * (HEADER_BYTES + 1)])
+def test_wrong_length_names_the_sizes(wrong: bytes) -> None:
+    with pytest.raises(InputsError, match=f"{len(wrong)} bytes"):
+        parse(wrong)
+
+
+def test_frame_count_out_of_range() -> None:
+    buffer = InputsBuffer(2)
+    for n_frames in (-1, 3):
+        with pytest.raises(InputsError, match="0 to 2"):
+            buffer.payload(n_frames)
+    buffer.integers[5] = -1
+    with pytest.raises(InputsError, match="n_frames = -1"):
+        parse(bytes(buffer._bytes[:HEADER_BYTES]))
