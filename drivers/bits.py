@@ -44,7 +44,7 @@ def big_endian_word(data: NDArray[np.uint8], length: int) -> np.uint64:
 @njit(cache=True, nogil=True)
 def take(word: np.uint64, shift: int, length: int, signed: bool) -> int:
     """The signal's raw integer. length <= 53."""
-    raw = np.int64((word >> np.uint64(shift)) & np.uint64((1 << length) - 1))
+    raw = int((word >> np.uint64(shift)) & np.uint64((1 << length) - 1))
     if signed and raw >= (1 << (length - 1)):
         raw -= 1 << length
     return raw

@@ -186,7 +186,7 @@ class Mesh:
         """
         if self._closed:
             return 0
-        buffer = memoryview(frames.view(np.uint8))
+        buffer = frames.view(np.uint8).data
         n, room, reads_left = 0, len(frames), READS_PER_ROOM * len(frames)
         ready = self._epoll.poll(0)
         if any(fd not in self._peers for fd, _ in ready):  # somebody joins, and may have sent already
@@ -258,7 +258,9 @@ def _locked(path: Path) -> Iterator[None]:
                 break
             except BlockingIOError:
                 if time.monotonic() > deadline:
-                    raise BusUnavailable(f"{path}: locked for {JOIN_TIMEOUT_S:g} s by a process that is joining") from None
+                    raise BusUnavailable(
+                        f"{path}: locked for {JOIN_TIMEOUT_S:g} s by another process that joins this bus"
+                    ) from None
                 time.sleep(0.001)
         yield
     finally:

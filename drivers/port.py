@@ -24,7 +24,7 @@ class BusError(OSError):
     """A bus cannot be used; the message says why, and where possible the command that would help."""
 
 
-class BusUnavailable(BusError):
+class BusUnavailable(BusError):  # noqa: N818 - names a condition, as BlockingIOError does
     """The bus does not exist here or is not running.
 
     Example scenarios: the kernel has no SocketCAN; can0 is down; the host has no route for multicast; the folder of the
@@ -32,21 +32,21 @@ class BusUnavailable(BusError):
     """
 
 
-class BusBusy(BusError):
+class BusBusy(BusError):  # noqa: N818 - names a condition, as BlockingIOError does
     """Somebody already holds the role that we want on this bus.
 
     Example scenarios: `hil run` is started a second time on the same channel; a second simulated node joins a bus.
     """
 
 
-class UnknownInterface(ValueError):
+class UnknownInterface(ValueError):  # noqa: N818 - names a condition, as BlockingIOError does
     """No such interface.
 
     Example scenarios: a misspelled `interface` in the rig file; a python-can plug-in that is not installed.
     """
 
 
-class BadBusOption(ValueError):
+class BadBusOption(ValueError):  # noqa: N818 - names a condition, as BlockingIOError does
     """A channel or an option does not make sense for the interface.
 
     Example scenarios: "vcan0" as the channel of udp_multicast, which wants a multicast address; a port number of 0.

@@ -1,14 +1,13 @@
 """Names the meaning of a function: a hash over its bytecode and, transitively, everything it refers to.
 
 numba's disk cache looks at the file of the cached function alone. A filter compiled together with a user's model must
-be compiled anew when the model, a helper in another file or a module constant changes; so the generated module that
-holds it (`generated.py`) is named after this hash. What cannot be identified for certain is reported, never guessed:
+be compiled anew when the model, a helper in another file or a module constant changes; so the file that its cache entry
+belongs to is named after this hash (`specialise.py`). What cannot be identified for certain is reported, never guessed:
 the caller then compiles without a disk cache.
 """
 
 import hashlib
 import sys
-from collections.abc import Mapping
 from enum import Enum
 from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 from typing import Any, Final
@@ -25,17 +24,15 @@ class NotIdentifiable(Exception):
     """A function refers to something whose value cannot be hashed (an object, a class, a C function pointer)."""
 
 
-def fingerprint(text: str, values: Mapping[str, Any]) -> str:
-    """Hash of a source text and of the values it will find under the given names. 32 hex digits.
+def fingerprint(text: str, function: FunctionType) -> str:
+    """Hash of a function with everything it refers to, and of a text. 32 hex digits.
 
     Raises:
-        NotIdentifiable: one of the values, or something it refers to, has no reliable identity.
+        NotIdentifiable: something the function refers to has no reliable identity.
     """
     walk = _Walk()
-    walk.add(f"{sys.implementation.cache_tag} numba {numba.__version__} numpy {np.__version__}\n{text}")
-    for name in sorted(values):
-        walk.add(name)
-        walk.value(values[name], frozenset())
+    walk.add(f"{sys.implementation.cache_tag} numba {numba.__version__} numpy {np.__version__} {text}")
+    walk.function(function)
     return walk.digest.hexdigest()[:32]
 
 

@@ -9,7 +9,7 @@ Division by zero gives inf, as in numpy.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numba import njit
@@ -17,8 +17,8 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 from numpy.typing import ArrayLike, NDArray
 
-from servohil.estimators import integrate
-from servohil.estimators.generated import instantiate
+from servohil.estimators.integrate import INTEGRATORS, STAGES, discrete, euler, rk4
+from servohil.estimators.specialise import specialise
 
 Vector = NDArray[np.float64]
 ModelFunction = Callable[[Vector, Vector, Vector, Vector], None]
@@ -28,19 +28,23 @@ class ModelError(ValueError):
     """A model was refused; the message names the argument, its value and the rule."""
 
 
-TEXT = '''
-from numba import njit
+VECTOR: Final = "f8[::1]"
 
-VECTOR = "f8[::1]"
+# `Model.specialise` compiles the functions below with the model's functions and sizes in place of these.
+f: Any = None
+h: Any = None
+integrate: Any = None
+N: int = 0
+DT: float = 0.0
+SUBSTEPS: int = 0
 
-@njit(f"void({VECTOR}, {VECTOR}, {VECTOR}, f8[:, ::1])", cache=CACHE, nogil=True, error_model="numpy")
-def advance(x, u, p, stages):
-    integrate(f, %(n)d, %(dt)r, %(substeps)d, x, u, p, stages)
 
-@njit(f"void({VECTOR}, {VECTOR}, {VECTOR}, {VECTOR})", cache=CACHE, nogil=True, error_model="numpy")
-def outputs(x, u, p, y):
+def _advance(x: Vector, u: Vector, p: Vector, stages: Vector) -> None:
+    integrate(f, N, DT, SUBSTEPS, x, u, p, stages.reshape((5, N)))
+
+
+def _outputs(x: Vector, u: Vector, p: Vector, y: Vector) -> None:
     h(x, u, p, y)
-'''
 
 
 class Model:
@@ -83,8 +87,8 @@ class Model:
         self.substeps = _count("substeps", substeps)
         if not isinstance(dt, int | float) or not math.isfinite(dt) or dt <= 0.0:
             raise ModelError(f"dt = {dt!r}: must be a finite number of seconds > 0")
-        if integrator not in integrate.INTEGRATORS:
-            raise ModelError(f"integrator = {integrator!r}: must be one of {', '.join(integrate.INTEGRATORS)}")
+        if integrator not in INTEGRATORS:
+            raise ModelError(f"integrator = {integrator!r}: must be one of {', '.join(INTEGRATORS)}")
         self.dt = float(dt)
         self.integrator = integrator
         self.p = _parameters(p)
@@ -99,26 +103,28 @@ class Model:
         self._compiled = {
             name: njit(nogil=True, error_model="numpy")(function) for name, function in functions.items()
         }
-        self._stages = np.zeros((integrate.STAGES, self.n))
+        self._stages = np.zeros(STAGES * self.n)
 
         def check() -> None:
             _check_fills("f", functions["f"], self.n, self.n_u, self.p, self.n)
             _check_fills("h", functions["h"], self.n, self.n_u, self.p, self.m)
 
-        namespace = self.instantiate("model", TEXT, check)
-        self._advance = namespace["advance"]
-        self._outputs = namespace["outputs"]
+        signature = f"void({VECTOR}, {VECTOR}, {VECTOR}, {VECTOR})"
+        self._advance = self.specialise(_advance, signature, check)
+        self._outputs = self.specialise(_outputs, signature)
 
-    def instantiate(
-        self, name: str, text: str, check: Callable[[], None] | None = None, **values: Any
-    ) -> dict[str, Any]:
-        """Compile a module written around this model: `text` may use f, h, integrate and `values`, and has the fields
-        %(n)d, %(m)d, %(n_u)d, %(dt)r and %(substeps)d. Returns its namespace; `check` as in `generated.instantiate`."""
-        sizes = {"n": self.n, "m": self.m, "n_u": self.n_u, "dt": self.dt, "substeps": self.substeps}
-        text = f"# {len(self.p)} parameters\n" + text % sizes
+    def specialise(
+        self, kernel: Callable[..., Any], signature: str, check: Callable[[], None] | None = None, **values: Any
+    ) -> Any:
+        """Compile a kernel around this model: it finds f, h, integrate, N, M, N_U, DT, SUBSTEPS and `values` among its
+        globals. See `specialise.specialise`."""
+        integrators = {"rk4": rk4, "euler": euler, "discrete": discrete}
+        names = {
+            **self._compiled, "integrate": integrators[self.integrator], "N": self.n, "M": self.m, "N_U": self.n_u,
+            "DT": self.dt, "SUBSTEPS": self.substeps,
+        }  # fmt: skip
         try:
-            names = {**self._compiled, "integrate": getattr(integrate, self.integrator), **values}
-            return instantiate(name, text, names, check)
+            return specialise(kernel, f"{signature}  # {len(self.p)} parameters", {**names, **values}, check)
         except NumbaError as error:
             raise ModelError(f"f or h cannot be compiled by numba: {_reason(error)}") from error
 

@@ -7,10 +7,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from servohil.estimators.covariance import checked_factor, lower_factor
 from servohil.estimators.health import DIVERGED, Health
-from servohil.estimators.model import Model
+from servohil.estimators.model import VECTOR, Model
 from servohil.estimators.sigma_points import scaled_weights
 from servohil.estimators.srukf_layout import COUNTERS, arena_offsets, work_offsets
-from servohil.estimators.srukf_step import step as generic_step
+from servohil.estimators.srukf_step import run, step
 from servohil.estimators.trajectory import Trajectory
 
 Vector = NDArray[np.float64]
@@ -21,27 +21,7 @@ class FilterError(ValueError):
     """A filter was refused; the message names the argument, its value and the rule."""
 
 
-TEXT = '''
-from numba import njit
-
-VECTOR = "f8[::1]"
-OPTIONS = {"cache": CACHE, "nogil": True, "error_model": "numpy"}
-
-@njit(f"i8({VECTOR}, {VECTOR}, {VECTOR}, {VECTOR}, {VECTOR})", **OPTIONS)
-def step(arena, work, p, u, y):
-    return generic_step(f, h, integrate, %(n)d, %(m)d, %(n_u)d, %(dt)r, %(substeps)d, arena, work, p, u, y)
-
-@njit(f"i8({VECTOR}, {VECTOR}, {VECTOR}, f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], {VECTOR}, i8[::1])", **OPTIONS)
-def run(arena, work, p, U, Y, x, factor, innovation, nis, status):
-    a_x, a_factor, a_q, _, a_innovation, a_s, a_nis, _, _, _ = arena_offsets(%(n)d, %(m)d)
-    for k in range(U.shape[0]):
-        status[k] = step(arena, work, p, U[k], Y[k])
-        x[k] = arena[a_x:a_factor]
-        factor[k] = arena[a_factor:a_q]
-        innovation[k] = arena[a_innovation:a_s]
-        nis[k] = arena[a_nis]
-    return 0
-'''  # fmt: skip
+SIGNATURE = f"i8({', '.join([VECTOR] * 5)})"
 
 
 class SRUKF:
@@ -106,9 +86,7 @@ class SRUKF:
         self._work[: places[1]] = weights.spread, sqrt(weights.covariance_centre), weights.outer
         self._work[places[1] : places[2]] = _gate(gate, m)
         self.gate = gate
-        module = model.instantiate("srukf", TEXT, generic_step=generic_step, arena_offsets=arena_offsets)
-        self._step = module["step"]
-        self._run = module["run"]
+        self._step = model.specialise(step, SIGNATURE)
         self._q[:] = factor_q.T
         self._r[:] = factor_r.T
         self.reset()
@@ -167,7 +145,7 @@ class SRUKF:
         nis, status = np.empty(count), np.empty(count, dtype=np.int64)
         before = self.arena.copy()
         try:
-            self._run(self.arena, self._work, self.model.p, inputs, outputs, x, factor, innovation, nis, status)
+            run(self._step, self.arena, self._work, self.model.p, inputs, outputs, x, factor, innovation, nis, status)
         except Exception:  # a model function raised somewhere: `step` knows what to do with it
             self.arena[:] = before
             for k in range(count):

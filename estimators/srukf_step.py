@@ -8,14 +8,15 @@ Two QR decompositions per step, no Cholesky update or downdate (P1 algorithm 1 i
 
 with the points X drawn again from (x-, S-), and each output Y paired with the point it was computed from
 (docs/errata.md). Everything is computed in scratch and committed at the end, so that a step that fails leaves the
-estimate as it was. Generic in the sizes: the generated module calls it with constants, and the compiler unrolls.
+estimate as it was. The sizes are constants of the compiled step,
+so that the compiler unrolls the loops.
 """
 
 from math import isfinite, isinf, log, pi, sqrt
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
@@ -43,24 +44,29 @@ def _within(vector: Vector) -> bool:
     return good
 
 
-@njit(nogil=True, forceinline=True, error_model="numpy")
-def step(
-    f: Any, h: Any, integrate: Any, n: int, m: int, n_u: int, dt: float, substeps: int,
-    arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector,
-) -> int:  # fmt: skip
+# The model: `Model.specialise` compiles `step` with its functions and sizes in place of these.
+f: Any = None
+h: Any = None
+integrate: Any = None
+N: int = 0
+M: int = 0
+N_U: int = 0
+DT: float = 0.0
+SUBSTEPS: int = 0
+
+
+def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     """Predict over the past period with u, then correct with y; NaN in y deletes the channel. Returns the status.
 
     Args:
-        f, h: compiled model functions.
-        integrate: one of `integrate.py`.
-        n, m, n_u: sizes.
-        dt, substeps: sample period, s, and integration steps within it.
         arena, work: see `srukf_layout.py`.
         p: parameters.
         u: (n_u,) input over the period.
         y: (m,) measurement at its end.
     """
-    if u.shape[0] != n_u or y.shape[0] != m:
+    n = N
+    m = M
+    if u.shape[0] != N_U or y.shape[0] != m:
         return WRONG_SIZE
     a_x, a_factor, a_q, a_r, a_innovation, a_s, a_nis, a_loglik, a_counters, _ = arena_offsets(n, m)
     w_constants, w_gate, w_x, w_factor, w_points, w_outputs, w_stack, w_stages, w_y, w_e, w_scratch, w_end = (
@@ -102,7 +108,7 @@ def step(
     # Predict.
     draw(arena[a_x : a_x + n], last_factor, spread, n, points)
     for i in range(points_n):
-        integrate(f, n, dt, substeps, points[i], u, p, stages)
+        integrate(f, n, DT, SUBSTEPS, points[i], u, p, stages)
     mean(points, points_n, n, outer, x)
     for i in range(points_n):
         root = root_centre if i == 0 else root_outer
@@ -200,3 +206,35 @@ def step(
     arena[a_nis] = nis
     arena[a_loglik] = loglik
     return status
+
+
+STEP_TYPE: Final = types.FunctionType(types.int64(*[types.float64[::1]] * 5))
+ROWS: Final = types.float64[:, ::1]
+
+
+@njit(
+    types.void(STEP_TYPE, *[types.float64[::1]] * 3, *[ROWS] * 5, types.float64[::1], types.int64[::1]),
+    nogil=True,
+    cache=True,
+    error_model="numpy",
+)
+def run(
+    compiled_step: Any, arena: Vector, work: Vector, p: Vector, U: Matrix, Y: Matrix,
+    x: Matrix, factor: Matrix, innovation: Matrix, nis: Vector, status: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Call the step for every row of U and Y and record x (N, n), factor (N, n * n), innovation (N, m), nis and status.
+
+    The step comes as a function pointer: this loop is compiled once for all models.
+    """
+    n = x.shape[1]
+    m = Y.shape[1]
+    a_x, a_factor, _, _, a_innovation, _, a_nis, _, _, _ = arena_offsets(n, m)
+    for k in range(U.shape[0]):
+        status[k] = compiled_step(arena, work, p, U[k], Y[k])
+        for i in range(n):
+            x[k, i] = arena[a_x + i]
+        for i in range(n * n):
+            factor[k, i] = arena[a_factor + i]
+        for i in range(m):
+            innovation[k, i] = arena[a_innovation + i]
+        nis[k] = arena[a_nis]

@@ -10,9 +10,11 @@ from servohil.control.intsmc import IntsmcGains
 from servohil.control.reference import SineProfile, StepProfile
 from servohil.drivers.codec import Codec, MessageProtection, load_codec
 from servohil.estimators import SRUKF, Model
+from servohil.estimators.leakage.residual_monitor import ResidualMonitor
 from servohil.estimators.models import cylinder
 from servohil.hil.config import Rig
 from servohil.hil.config.controller import SineReference
+from servohil.hil.events import Bounds
 
 NS_PER_S: Final = 1_000_000_000
 NOISE_PERIOD_S: Final = 1e-3  # process noise is configured per millisecond, whatever the rate
@@ -32,7 +34,7 @@ def load_bus_codec(rig: Rig, receive: Sequence[str], transmit: Sequence[str]) ->
 
 
 def message_of(signal_path: str) -> str:
-    """"Message.signal" -> "Message"."""
+    """ "Message.signal" -> "Message"."""
     return signal_path.split(".", maxsplit=1)[0]
 
 
@@ -50,7 +52,9 @@ def command_message(rig: Rig) -> str:
 def process_covariance(rig: Rig) -> NDArray[np.float64]:
     """Q per cycle in the filter's units (m, m/s, MPa, MPa), from standard deviations per millisecond."""
     std = rig.estimator.process_std
-    per_ms = np.array([std.position_m, std.velocity_mps, std.pressure_a_pa / PA_PER_MPA, std.pressure_b_pa / PA_PER_MPA])
+    per_ms = np.array(
+        [std.position_m, std.velocity_mps, std.pressure_a_pa / PA_PER_MPA, std.pressure_b_pa / PA_PER_MPA]
+    )
     return np.diag(per_ms**2) * (rig.loop.period_ns / NS_PER_S / NOISE_PERIOD_S)
 
 
@@ -76,7 +80,12 @@ def build_filter(rig: Rig, arena: NDArray[np.float64]) -> SRUKF:
     """The SR-UKF with the configured Q and R, living in `arena`."""
     estimator = rig.estimator
     initial, measured = estimator.initial_std, estimator.measurement_std
-    p0 = [initial.position_m, initial.velocity_mps, initial.pressure_a_pa / PA_PER_MPA, initial.pressure_b_pa / PA_PER_MPA]
+    p0 = [
+        initial.position_m,
+        initial.velocity_mps,
+        initial.pressure_a_pa / PA_PER_MPA,
+        initial.pressure_b_pa / PA_PER_MPA,
+    ]
     r = [measured.position_m, measured.pressure_a_pa / PA_PER_MPA, measured.pressure_b_pa / PA_PER_MPA]
     return SRUKF(
         build_model(rig),
@@ -101,10 +110,36 @@ def build_profile(rig: Rig) -> SineProfile | StepProfile:
     reference, limits = rig.reference, rig.limits
     profile: SineProfile | StepProfile
     if isinstance(reference, SineReference):
-        profile = SineProfile(
-            reference.offset_m, reference.amplitude_m, reference.omega_rad_per_s, reference.blend_s
-        )
+        profile = SineProfile(reference.offset_m, reference.amplitude_m, reference.omega_rad_per_s, reference.blend_s)
     else:
         profile = StepProfile(reference.levels_m, reference.dwell_s, reference.ramp_s, reference.blend_s)
     profile.check_limits(limits.position_min_m, limits.position_max_m, limits.speed_max_mps)
     return profile
+
+
+def build_monitor(rig: Rig, arena: NDArray[np.float64]) -> ResidualMonitor:
+    """The leak monitor behind the filter's residuals, living in `arena`."""
+    leakage = rig.leakage
+    return ResidualMonitor(
+        rig.loop.period_ns / NS_PER_S,
+        leakage.threshold_sigma,
+        leakage.cusum_drift,
+        leakage.cusum_threshold,
+        leakage.settle_s,
+        arena=arena,
+    )
+
+
+def build_bounds(rig: Rig) -> Bounds:
+    """The limits that the cycle judges measurements and estimates by."""
+    limits = rig.limits
+    return Bounds(
+        limits.position_min_m,
+        limits.position_max_m,
+        limits.speed_max_mps,
+        limits.pressure_min_pa,
+        limits.pressure_max_pa,
+        limits.supply_min_pa,
+        limits.sensor_age_periods * rig.loop.period_ns,
+        limits.bad_frames_tolerated,
+    )

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from servohil.control import intsmc
 from servohil.control.reference import evaluate
+from servohil.drivers.codec import Kind
 from servohil.estimators import SRUKF
+from servohil.estimators.health import DIVERGED, GATED, NOT_FINITE_INPUT, REPAIRED
 from servohil.estimators.leakage.residual_monitor import ResidualMonitor
 from servohil.estimators.models import cylinder
 from servohil.hil import assemble, events, parameters
@@ -20,8 +22,10 @@ from servohil.hil.arena import Arena
 from servohil.hil.commands import Command, Result
 from servohil.hil.config import Rig
 from servohil.hil.control_word import control_word
-from servohil.hil.gate import POWER_UP, DeviceState, Event, GateState, gate
+from servohil.hil.events import SensorView
+from servohil.hil.gate import POWER_UP, DeviceState, Event, GateState, gate, gate_limits
 from servohil.hil.inputs import BUS_DOWN, BUS_OFF
+from servohil.hil.reactions import load_reactions
 from servohil.hil.sensing import Sensing
 from servohil.hil.snapshot import FIELDS, SNAPSHOT
 
@@ -29,6 +33,10 @@ NS_PER_S: Final = 1_000_000_000
 PA_PER_MPA: Final = 1e6
 LONGEST_PREDICTION: Final = 200  # periods; after a longer gap the filter starts anew from the next measurement
 HOLD, ACTIVE, INIT = int(DeviceState.HOLD), int(DeviceState.ACTIVE), int(DeviceState.INIT)
+SENSOR_STALE, SECOND_COMMANDER, LEAK_ALARM = int(Event.SENSOR_STALE), int(Event.SECOND_COMMANDER), int(Event.LEAK_ALARM)
+BUS_OFF_EVENT: Final = int(Event.BUS_OFF)
+FILTER_TROUBLE: Final = GATED | REPAIRED | NOT_FINITE_INPUT | DIVERGED
+TO_SI: Final = np.array(cylinder.STATE_TO_SI)
 OVERRUNS_HOLD_AFTER: Final = 3  # in a row
 OVERRUNS_FAULT_AFTER: Final = 10
 
@@ -263,9 +271,7 @@ class Cycle:
         error[2] = cylinder.acceleration(x, self._plant_vector) - reference[2]
         jerk, limit = self._jerk, self._limits.command_max_v
         return float(
-            intsmc.intsmc_step(
-                self._law, self._gains, error, reference[3], jerk[0], jerk[1], jerk[2], limit, self.dt
-            )
+            intsmc.intsmc_step(self._law, self._gains, error, reference[3], jerk[0], jerk[1], jerk[2], limit, self.dt)
         )
 
     def _enter(self, cycle: int) -> None:
@@ -283,14 +289,20 @@ class Cycle:
     def _gate_state(self) -> GateState:
         words = self._words
         return GateState(
-            int(words[DEVICE]), int(words[GOAL]), int(words[FAULT]), int(words[RAMP_LEFT]), float(self._numbers[COMMAND_V])
+            int(words[DEVICE]),
+            int(words[GOAL]),
+            int(words[FAULT]),
+            int(words[RAMP_LEFT]),
+            float(self._numbers[COMMAND_V]),
         )
 
     def _keep(self, state: GateState) -> None:
         words = self._words
         words[DEVICE], words[GOAL], words[FAULT], words[RAMP_LEFT], self._numbers[COMMAND_V] = state
 
-    def _fill(self, header: Any, sensed: SensorView, status: int, found: int, requested: float, permitted: float) -> None:
+    def _fill(
+        self, header: Any, sensed: SensorView, status: int, found: int, requested: float, permitted: float
+    ) -> None:
         """Write this cycle's Snapshot, integers first, in the order of `snapshot.FIELDS`."""
         words, monitor, filter_ = self._words, self.monitor, self.filter
         cycle, first_active = int(header["cycle"]), int(words[FIRST_ACTIVE])

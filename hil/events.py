@@ -15,6 +15,7 @@ class SensorView(NamedTuple):
     supply_pa: float  # last good value
     tank_pa: float  # last good value
     spool_v: float
+    complete: bool  # this cycle brought position and both pressures, and supply and tank are known
     oldest_age_ns: int  # age of the oldest of the needed messages; large before the first
     worst_bad_in_a_row: int
 

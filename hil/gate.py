@@ -65,7 +65,10 @@ class Reaction(IntEnum):
 
 
 class Reactions(NamedTuple):
-    """Bit masks of events by reaction (`hil.reactions.load_reactions`); a bit in none of the first five means STOP."""
+    """Bit masks of events by reaction (`hil.reactions.load_reactions`). A bit in none of them is an INTERNAL_ERROR.
+
+    Every event with a reaction above HOLD must be latched; the loader sees to it.
+    """
 
     none: int
     hold: int
@@ -104,22 +107,26 @@ class GateDecision(NamedTuple):
 
 
 # Plain integers: flag arithmetic on enum members costs microseconds per cycle.
-INIT, DISABLED, HOLD, ACTIVE, FAULT_REACTION, FAULT_HOLD, FAULT_DISABLED = (int(state) for state in DeviceState)
+INIT, DISABLED, HOLD, ACTIVE, FAULT_REACTION, FAULT_HOLD, FAULT_DISABLED = map(int, DeviceState)
+NO_REACTION, TO_HOLD, TO_FAULT_HOLD, TO_RAMP, TO_STOP = map(int, Reaction)
 SENSOR_STALE: Final = int(Event.SENSOR_STALE)
 NOT_FINITE: Final = int(Event.NOT_FINITE)
 ESTOP: Final = int(Event.ESTOP)
 INTERNAL_ERROR: Final = int(Event.INTERNAL_ERROR)
-COMMAND_CLIPPED: Final = int(Event.COMMAND_CLIPPED)
-COMMAND_SLEWED: Final = int(Event.COMMAND_SLEWED)
-NO_REACTION, TO_HOLD, TO_FAULT_HOLD, TO_RAMP, TO_STOP = (int(reaction) for reaction in Reaction)
-NOT_FOR_THE_GATE: Final = frozenset(map(int, (Command.NONE, Command.ACKNOWLEDGE, Command.SET_PARAM)))
-SWITCH_OFF: Final = frozenset(map(int, (Command.DISABLE, Command.SHUTDOWN)))
-CMD_ENABLE, CMD_HOLD, CMD_RESET, CMD_ESTOP = map(
-    int, (Command.ENABLE, Command.HOLD, Command.RESET, Command.ESTOP)
-)
-NONE, ACCEPTED, REFUSED, UNKNOWN = map(
-    int, (Result.NONE, Result.ACCEPTED, Result.REFUSED_STATE, Result.UNKNOWN)
-)
+ALWAYS_STOP: Final = NOT_FINITE | ESTOP | INTERNAL_ERROR  # whatever the table of reactions says
+CLIPPED: Final = int(Event.COMMAND_CLIPPED)
+SLEWED: Final = int(Event.COMMAND_SLEWED)
+
+OPERATING: Final = (DISABLED, HOLD, ACTIVE)
+CLOSED_LOOP: Final = (HOLD, ACTIVE)
+AT_REST_IN_FAULT: Final = (FAULT_HOLD, FAULT_DISABLED)
+NOT_FOR_THE_GATE: Final = (int(Command.NONE), int(Command.ACKNOWLEDGE), int(Command.SET_PARAM))
+SWITCH_OFF: Final = (int(Command.DISABLE), int(Command.SHUTDOWN))
+ASK_ENABLE: Final = int(Command.ENABLE)
+ASK_HOLD: Final = int(Command.HOLD)
+ASK_RESET: Final = int(Command.RESET)
+ASK_ESTOP: Final = int(Command.ESTOP)
+ACCEPTED: Final = int(Result.ACCEPTED)
 
 POWER_UP: Final = GateState(device_state=INIT, goal=DISABLED, fault=0, ramp_left=0, command_v=0.0)
 
@@ -163,35 +170,129 @@ def gate(
         periods: whole periods since the previous call, 1 + skipped: the ramp keeps its time through overruns.
     """
     now = state.device_state
-    events = _complete(state, events, command, requested_v, sensors_ready)
+    events = _complete(state, events, command, requested_v, sensors_ready, reactions)
     reaction = _most_severe(events, reactions)
     # Before the first valid measurement only what stops at once is a fault; all else keeps the device in INIT.
-    fault = state.fault | (events & reactions.latched & (reactions.stop if now == INIT else -1))
-    result = _judge(command, now, fault, events & reactions.latched, reaction)
+    latching = ALWAYS_STOP | (reactions.latched & (reactions.stop if now == INIT else -1))
+    fault = state.fault | (events & latching)
+    result = _judge(command, now, fault, reaction, pending=events & latching)
     goal = _goal(command, result, state.goal)
 
     if reaction == TO_STOP:
-        after, goal = FAULT_DISABLED, DISABLED
+        after = FAULT_DISABLED
     elif command in SWITCH_OFF:
         after = _switched_off(now, reaction)
-    elif command == CMD_RESET and result == ACCEPTED:
+    elif command == ASK_RESET and result == ACCEPTED:
         after, fault = DISABLED, 0
     elif now == INIT:
         after = DISABLED if sensors_ready and reaction < TO_FAULT_HOLD else INIT
-    elif now == FAULT_HOLD:
-        after = FAULT_DISABLED if reaction == TO_RAMP else FAULT_HOLD
-    elif now == FAULT_DISABLED:
+    elif now == FAULT_DISABLED or (now in (DISABLED, FAULT_HOLD) and reaction == TO_RAMP):
         after = FAULT_DISABLED
+    elif now == DISABLED and reaction == TO_FAULT_HOLD:
+        after = FAULT_DISABLED  # a reaction never raises the state
+    elif now == FAULT_HOLD:
+        after = FAULT_HOLD
     elif now == FAULT_REACTION or reaction >= TO_FAULT_HOLD:
         return _ramp(state, events, fault, reaction, result, limits, max(1, periods))
     else:
-        after = _operate(now, goal, fault, reaction)
+        after = _climb(now, goal, fault, reaction)
 
-    if after not in (HOLD, ACTIVE) or now not in (HOLD, ACTIVE):
-        # Includes the first cycle of HOLD: the law has not seen an enabled valve yet.
-        permitted = 0.0
+    permitted = 0.0
+    if now in CLOSED_LOOP and after in CLOSED_LOOP:  # not in the first cycle of HOLD: the law has not run for it yet
+        permitted, clipping = _limited(requested_v, state.command_v, limits)
+        events |= clipping
+    goal = goal if after in OPERATING else DISABLED
+    enable = after in CLOSED_LOOP or after == FAULT_HOLD
+    return GateDecision(GateState(after, goal, fault, 0, permitted), permitted, enable, result, events)
+
+
+def _complete(
+    state: GateState, events: int, command: int, requested_v: float, sensors_ready: bool, reactions: Reactions
+) -> int:
+    """`events` with what the gate sees by itself."""
+    now = state.device_state
+    goals = AT_REST_IN_FAULT if now == FAULT_REACTION else OPERATING
+    if not INIT <= now <= FAULT_DISABLED or state.goal not in goals or not isfinite(state.command_v):
+        events |= INTERNAL_ERROR
+    if events & ~(reactions.none | reactions.hold | reactions.fault_hold | reactions.ramp | reactions.stop):
+        events |= INTERNAL_ERROR
+    if not isfinite(requested_v):
+        events |= NOT_FINITE
+    if command == ASK_ESTOP:
+        events |= ESTOP
+    if not sensors_ready and now != INIT:
+        events |= SENSOR_STALE
+    return events
+
+
+def _most_severe(events: int, reactions: Reactions) -> int:
+    if events & (reactions.stop | ALWAYS_STOP):
+        return TO_STOP
+    if events & reactions.ramp:
+        return TO_RAMP
+    if events & reactions.fault_hold:
+        return TO_FAULT_HOLD
+    return TO_HOLD if events & reactions.hold else NO_REACTION
+
+
+def _judge(command: int, now: int, fault: int, reaction: int, pending: int) -> int:
+    """Result of the operator's command: down is always granted, up only along the arrows and without a fault."""
+    if command in NOT_FOR_THE_GATE:
+        return int(Result.NONE)
+    if command == ASK_ESTOP or command in SWITCH_OFF:
+        return ACCEPTED
+    if command == ASK_ENABLE:
+        granted = now in OPERATING and fault == 0 and reaction == NO_REACTION
+    elif command == ASK_HOLD:
+        granted = reaction <= TO_HOLD and (now in CLOSED_LOOP or (now == DISABLED and fault == 0))
+    elif command == ASK_RESET:
+        granted = pending == 0 and (now in AT_REST_IN_FAULT or (now in (DISABLED, HOLD) and fault != 0))
     else:
-        permitted, clipped = _limited(requested_v, state.command_v, limits)
-        events |= clipped
-    after_state = GateState(after, goal, fault, 0, permitted)
-    return GateDecision(after_state, permitted, after in (HOLD, ACTIVE, FAULT_HOLD), result, events)
+        return int(Result.UNKNOWN)
+    return ACCEPTED if granted else int(Result.REFUSED_STATE)
+
+
+def _goal(command: int, result: int, goal: int) -> int:
+    if result != ACCEPTED:
+        return goal
+    return {ASK_ENABLE: ACTIVE, ASK_HOLD: HOLD}.get(command, DISABLED)
+
+
+def _switched_off(now: int, reaction: int) -> int:
+    """Where DISABLE leads: 0 V and enable off in this very cycle, from every state."""
+    if now == INIT:
+        return INIT
+    return DISABLED if now in OPERATING and reaction < TO_FAULT_HOLD else FAULT_DISABLED
+
+
+def _climb(now: int, goal: int, fault: int, reaction: int) -> int:
+    """One arrow up towards the goal, or down to what events and latched faults allow."""
+    ceiling = HOLD if reaction == TO_HOLD else ACTIVE
+    if fault:
+        ceiling = min(HOLD, now)
+    return min(goal, ceiling, now + 1)
+
+
+def _ramp(
+    state: GateState, events: int, fault: int, reaction: int, result: int, limits: GateLimits, periods: int
+) -> GateDecision:
+    """FAULT_REACTION: straight to 0 V from the last permitted command, whatever the law asks; then the fault state."""
+    running = state.device_state == FAULT_REACTION
+    left = min(state.ramp_left, limits.ramp_periods) if running else limits.ramp_periods
+    worst = reaction == TO_RAMP or (running and state.goal == FAULT_DISABLED)
+    target = FAULT_DISABLED if worst else FAULT_HOLD
+    if left <= periods:
+        return GateDecision(GateState(target, DISABLED, fault, 0, 0.0), 0.0, target == FAULT_HOLD, result, events)
+    start = min(max(state.command_v, -limits.command_max_v), limits.command_max_v)
+    permitted = start * ((left - periods) / left)
+    after = GateState(FAULT_REACTION, target, fault, left - periods, permitted)
+    return GateDecision(after, permitted, True, result, events)
+
+
+def _limited(requested_v: float, last_v: float, limits: GateLimits) -> tuple[float, int]:
+    """The requested voltage within range and slew, and the event bits that say where it was cut."""
+    top = limits.command_max_v
+    wanted = min(max(requested_v, -top), top)
+    last = min(max(last_v, -top), top)
+    permitted = min(max(wanted, last - limits.slew_step_v), last + limits.slew_step_v)
+    return permitted, (CLIPPED if wanted != requested_v else 0) | (SLEWED if permitted != wanted else 0)

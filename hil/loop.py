@@ -32,6 +32,13 @@ class LoopResult:
     dropped_records: int
     telemetry_died: bool
 
+    @classmethod
+    def of(cls, cycle: Cycle, cycles: int, dropped_records: int, telemetry_died: bool) -> "LoopResult":
+        """The result that the cycle's last Snapshot tells."""
+        snapshot = cycle.snapshot
+        state = DeviceState(int(snapshot["state"]))
+        return cls(cycles, int(snapshot["overruns"]), state, dropped_records, telemetry_died)
+
     @property
     def faulted(self) -> bool:
         """Whether the device ended in a fault state."""
@@ -85,7 +92,7 @@ class RealtimeLoop:
         ring.set_origin(origin_ns, time.time_ns() + origin_ns - time.monotonic_ns())
         ring.write_checkpoint(cycle.arena.save())
         check_every = max(1, 1_000_000_000 // pacer.period_ns)
-        number = 0
+        number = executed = 0
         exec_ns = lateness_ns = 0
         skipped = 0
         telemetry_died = False
@@ -103,12 +110,13 @@ class RealtimeLoop:
             header["bus_flags"] = (BUS_OFF if health.bus_off else 0) | (BUS_DOWN if health.down else 0)
             self._take_command(header, snapshot)
             payload = self._inputs.payload(n)
-            if ring.checkpoint_wanted():
+            if ring.checkpoint_wanted:
                 ring.write_checkpoint(cycle.arena.save())
             frame = cycle.step(header, frames)
             if self._send:
                 port.send(cycle.command_id, frame)
             ring.write(Kind.SNAPSHOT, snapshot_bytes, payload)
+            ring.beat(number)
             if number % check_every == 0 and not telemetry_died:
                 telemetry_died = not self._alive()
             lateness_ns = pacer.lateness_ns
@@ -116,14 +124,8 @@ class RealtimeLoop:
             exec_ns = end - now
             skipped = pacer.advance(end)
             number += 1 + skipped
-        result = LoopResult(
-            cycles=int(cycle.executed),
-            overruns=int(snapshot["overruns"]),
-            final_state=DeviceState(int(snapshot["state"])),
-            dropped_records=ring.dropped,
-            telemetry_died=telemetry_died,
-        )
-        return result
+            executed += 1
+        return LoopResult.of(cycle, executed, ring.dropped, telemetry_died)
 
     def _take_command(self, header: np.void, snapshot: np.void) -> None:
         """The script's command first, then an operator's; one per cycle, so that each gets its own answer."""

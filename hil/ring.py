@@ -16,15 +16,19 @@ from servohil.hil.inputs import FRAME_BYTES, HEADER_BYTES
 from servohil.hil.ring_file import (
     ALIGN,
     PAGE,
+    W_BATCHES,
     W_CAPACITY,
     W_CHECKPOINT_SERVED,
     W_CHECKPOINT_WANTED,
     W_DROPPED,
     W_HEARTBEAT,
+    W_LOST,
     W_MONOTONIC_ORIGIN,
+    W_PUBLISHED,
     W_READ,
     W_READER_PID,
     W_READY,
+    W_RECORDED,
     W_STOP,
     W_UNIX_ORIGIN,
     W_WRITE,
@@ -58,6 +62,15 @@ class Record(NamedTuple):
     kind: int
     gap: int
     payload: bytes
+
+
+class TelemetryCounts(NamedTuple):
+    """Samples and batches published, records lost in gaps, cycles recorded."""
+
+    published: int
+    batches: int
+    lost: int
+    recorded: int
 
 
 def capacity_for(seconds: float = 2.0, rate_hz: float = 1000.0, frames: int = 24, checkpoint_bytes: int = 65536) -> int:
@@ -160,6 +173,12 @@ class RingWriter:
         return self.file.alive(W_READER_PID)
 
     @property
+    def telemetry(self) -> TelemetryCounts:
+        """What telemetry did so far; its result file says the same at the end."""
+        words = self._words
+        return TelemetryCounts(words[W_PUBLISHED], words[W_BATCHES], words[W_LOST], words[W_RECORDED])
+
+    @property
     def dropped(self) -> int:
         """Records lost since the start."""
         return self._words[W_DROPPED]
@@ -221,6 +240,10 @@ class RingReader:
 
     def set_ready(self) -> None:
         self.words[W_READY] = 1
+
+    def set_counts(self, counts: TelemetryCounts) -> None:
+        """Show the controller what telemetry did so far."""
+        self.words[W_PUBLISHED], self.words[W_BATCHES], self.words[W_LOST], self.words[W_RECORDED] = counts
 
     @property
     def writer_alive(self) -> bool:

@@ -11,7 +11,6 @@ from servohil.hil.config import Rig
 from servohil.hil.events import SensorView
 
 PA_PER_MPA: Final = 1e6
-NEVER_NS: Final = 1 << 62
 
 
 class Sensing:
@@ -50,10 +49,10 @@ class Sensing:
         u[0] = spool if isfinite(spool) else last_command_v
         u[1] = supply
         u[2] = tank
+        complete = isfinite(position + pressure_a + pressure_b + supply + tank)
         oldest = 0
         worst = 0
         for index in self._needed:
-            last = int(codec.last_good_ns[index])
-            oldest = max(oldest, NEVER_NS if last < 0 else t_ns - last)
+            oldest = max(oldest, t_ns - int(codec.last_good_ns[index]))
             worst = max(worst, int(codec.bad_in_a_row[index]))
-        return SensorView(position, pressure_a, pressure_b, supply, tank, spool, oldest, worst)
+        return SensorView(position, pressure_a, pressure_b, supply, tank, spool, complete, oldest, worst)

@@ -12,15 +12,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.drivers.codec import Codec
-from servohil.hil.assemble import SPOOL_LIMIT_V, load_bus_codec
+from servohil.hil.assemble import SENSOR_SIGNALS, command_message, load_bus_codec, message_of, sensor_messages
 from servohil.hil.config import Rig
+from servohil.hil.config.hydraulics import Plant
 from servohil.hil.control_word import ACTIVE_BIT, DRIVE_BITS, status_word
 from servohil.hil.gate import DeviceState
-from servohil.sim_bench.plant import CylinderPlant
-from servohil.sim_bench.sensors import SensorNoise
+from servohil.sim_bench.plant import LEAKS, CylinderPlant
+from servohil.sim_bench.sensors import Sensors, SensorStd
 
 NS_PER_S: Final = 1_000_000_000
+N_STATES: Final = 4
 
 TRUTH = np.dtype(
     [
@@ -35,7 +36,7 @@ TRUTH = np.dtype(
         ("active", "<i8"),
     ]
 )
-LEAK_KINDS: Final = ("internal", "external_a", "external_b")
+LEAK_KINDS: Final = tuple(LEAKS)  # in the truth log by number, from 1; 0 = no leak
 
 
 @dataclass(frozen=True)
@@ -88,73 +89,109 @@ class ActuatorNode:
     """
 
     def __init__(self, rig: Rig, leak: LeakPlan | None, log: TruthLog) -> None:
-        plant = rig.plant
+        settings = plant_section(rig)
         self.period_ns = rig.loop.period_ns
         self.dt = self.period_ns / NS_PER_S
         self.log = log
         self._leak = leak
         self._leaking = False
-        self._rng = np.random.Generator(np.random.PCG64(plant.seed))
-        self.plant = CylinderPlant.from_rig(rig)
-        self._noise = SensorNoise.from_rig(rig)
-        names = rig.signals
-        self._command_message = names.command.split(".")[0]
-        sensor_messages = sorted({path.split(".")[0] for path in names.sensors()})
-        self.codec: Codec = load_bus_codec(rig, receive=[self._command_message], transmit=sensor_messages)
-        self._command_slot = self.codec.slot(names.command)
-        self._word_slot = self.codec.slot(names.control_word)
-        self._command_index = self.codec.message_index(self._command_message)
-        self._layout = [(m, self.codec.message_index(m), self.codec.signal_paths(m)) for m in sensor_messages]
-        self._sources = {path: name for name, path in names.items() if name not in ("command", "control_word")}
-        self._timeout_ns = int(plant.command_timeout_s * NS_PER_S)
+        self._rng = np.random.Generator(np.random.PCG64(settings.seed))
+        self.plant = build_plant(rig, settings)
+        self._sensors = Sensors(SensorStd(**settings.sensor_std.model_dump()), self._rng)
+        command = command_message(rig)
+        self.codec = load_bus_codec(rig, receive=[command], transmit=sensor_messages(rig))
+        self._command_index = self.codec.message_index(command)
+        self._command_slot = self.codec.slot(rig.signals.command)
+        self._word_slot = self.codec.slot(rig.signals.control_word)
+        self._outputs = [
+            (self.codec.message_index(name), np.zeros(len(self.codec.slots(self.codec.message_index(name)))))
+            for name in sensor_messages(rig)
+        ]
+        # Where each reading goes: (values array of its message, position in it).
+        self._places = [self._place(getattr(rig.signals, name)) for name in (*SENSOR_SIGNALS, "status_word")]
+        self._timeout_ns = int(settings.command_timeout_s * NS_PER_S)
         self._last_command_ns = -1
         self._active_since_ns = -1
+        self._driving = False
         self.spool_v = 0.0
-        self.outgoing: list[tuple[int, bytes]] = []
 
-    def step(self, frames: NDArray[np.void], n_frames: int, t_ns: int, periods: int) -> Sequence[tuple[int, bytes]]:
+    def _place(self, path: str) -> tuple[NDArray[np.float64], int]:
+        index = self.codec.message_index(message_of(path))
+        values = next(array for number, array in self._outputs if number == index)
+        return values, list(self.codec.slots(index)).index(self.codec.slot(path))
+
+    def step(
+        self, frames: NDArray[np.void], n_frames: int, t_ns: int, periods: int
+    ) -> Sequence[tuple[int, bytes]]:
         """Advance by `periods`, measure, then take the commands in `frames[:n_frames]`; returns the frames to send."""
         spool = self.spool_v
         for _ in range(periods):
-            self.plant.step(spool, self._rng.standard_normal(self.plant.n_normals), self.dt)
-        self._encode_sensors(spool)
+            self.plant.step(spool, self._rng.standard_normal(N_STATES), self.dt)
+        outgoing = self._measure(spool)
+        self._log(t_ns, spool)
         self._take_commands(frames, n_frames, t_ns)
         self._inject(t_ns)
-        x = self.plant.state
-        kind = LEAK_KINDS.index(self._leak.kind) + 1 if self._leak and self._leaking else 0
-        size = self._leak.coefficient if self._leak and self._leaking else 0.0
-        self.log.append((t_ns, x[0], x[1], x[2], x[3], spool, size, kind, int(self._active_since_ns >= 0)))
-        return self.outgoing
+        return outgoing
 
-    def _encode_sensors(self, spool_v: float) -> None:
-        measured = self._noise.sample(self.plant, spool_v, self._rng)
-        measured["status_word"] = float(self._status)
-        self.outgoing = [
-            (self.codec.can_id(index), self.codec.encode(index, [measured[self._sources[p]] for p in paths]))
-            for _, index, paths in self._layout
-        ]
-
-    @property
-    def _status(self) -> int:
-        if self._last_command_ns < 0 or self.spool_v == 0.0:
-            return status_word(DeviceState.DISABLED)
-        return status_word(DeviceState.ACTIVE)
+    def _measure(self, spool_v: float) -> list[tuple[int, bytes]]:
+        plant, codec = self.plant, self.codec
+        readings = self._sensors.read(plant.state, plant.supply_pa, plant.tank_pa, spool_v)
+        state = DeviceState.ACTIVE if self._driving else DeviceState.DISABLED
+        for (values, position), reading in zip(self._places, (*readings, float(status_word(state))), strict=True):
+            values[position] = reading
+        outgoing = []
+        for index, values in self._outputs:
+            slots = codec.slots(index)
+            # A sensor saturates at the end of its range, it does not fall silent.
+            np.clip(values, codec.minimum[slots.start : slots.stop], codec.maximum[slots.start : slots.stop], out=values)
+            outgoing.append((codec.messages[index].frame_id, codec.encode(index, values)))
+        return outgoing
 
     def _take_commands(self, frames: NDArray[np.void], n_frames: int, t_ns: int) -> None:
-        self.codec.receive(frames, n_frames, t_ns)
-        if self.codec.fresh[self._command_index]:
-            word = int(self.codec.values[self._word_slot])
-            command = float(self.codec.values[self._command_slot])
+        codec = self.codec
+        codec.receive(frames, n_frames, t_ns)
+        if codec.fresh[self._command_index]:
+            word = int(codec.values[self._word_slot])
             self._last_command_ns = t_ns
-            drive = word & DRIVE_BITS
-            self.spool_v = min(max(command, -SPOOL_LIMIT_V), SPOOL_LIMIT_V) if drive else 0.0
+            self._driving = bool(word & DRIVE_BITS)
+            self.spool_v = float(codec.values[self._command_slot]) if self._driving else 0.0
             if word & ACTIVE_BIT and self._active_since_ns < 0:
                 self._active_since_ns = t_ns
         elif t_ns - self._last_command_ns > self._timeout_ns:
+            self._driving = False
             self.spool_v = 0.0  # the valve driver's own last line: no valid command, spool to centre
 
     def _inject(self, t_ns: int) -> None:
-        due = self._leak is not None and self._active_since_ns >= 0 and not self._leaking
-        if due and self._leak is not None and t_ns - self._active_since_ns >= self._leak.at_s * NS_PER_S:
-            self.plant.set_leak(self._leak.kind, self._leak.coefficient)
+        leak = self._leak
+        if leak is None or self._leaking or self._active_since_ns < 0:
+            return
+        if t_ns - self._active_since_ns >= leak.at_s * NS_PER_S:
+            self.plant.set_leak(leak.kind, leak.coefficient)
             self._leaking = True
+
+    def _log(self, t_ns: int, spool_v: float) -> None:
+        x, leak = self.plant.state, self._leak
+        leaking = self._leaking and leak is not None
+        kind = LEAK_KINDS.index(leak.kind) + 1 if leaking and leak else 0
+        size = leak.coefficient if leaking and leak else 0.0
+        self.log.append((t_ns, x[0], x[1], x[2], x[3], spool_v, size, kind, int(self._active_since_ns >= 0)))
+
+
+def plant_section(rig: Rig) -> Plant:
+    """The rig's [plant]; raises ValueError naming the file where there is none (a real rig needs no node)."""
+    if rig.plant is None:
+        raise ValueError(f"{rig.path}: plant: missing; the simulated actuator node needs a [plant] table")
+    return rig.plant
+
+
+def build_plant(rig: Rig, settings: Plant) -> CylinderPlant:
+    """The true cylinder: [cylinder] with the overrides of [plant.cylinder]."""
+    noise = settings.process_std
+    return CylinderPlant(
+        rig.plant_cylinder.parameters(),
+        x0=np.array([settings.position_m, 0.0, settings.pressure_a_pa, settings.pressure_b_pa]),
+        supply_pa=settings.supply_pa,
+        tank_pa=settings.tank_pa,
+        process_std=np.array([0.0, noise.velocity_mps, noise.pressure_a_pa, noise.pressure_b_pa]),
+        substeps=settings.substeps,
+    )

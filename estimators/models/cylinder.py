@@ -76,7 +76,7 @@ class CylinderParameters:
 MASS, FRICTION, AREA_A, AREA_B, V0_A, V0_B, STROKE, BULK, CS, K_I, K_EA, K_EB, AMBIENT, LOAD = range(14)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def signed_sqrt(dp_mpa: float) -> float:
     """sign(dp) sqrt(|dp|), rounded off within SMOOTH_DP_MPA of zero. sqrt(MPa)."""
     # two square roots: a third of the time of ** 0.25, and 72 of these are one step of a filter
@@ -126,14 +126,14 @@ def h(x: Vector, u: Vector, p: Vector, y: Vector) -> None:
     y[2] = x[3]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def acceleration(x: Vector, p: Vector) -> float:
     """Piston acceleration, m/s2, from the force balance (P1 eq. 20)."""
     force = (p[AREA_A] * x[2] - p[AREA_B] * x[3]) * PA_PER_MPA
     return (force - p[FRICTION] * x[1] - p[LOAD]) / p[MASS]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def jerk_model(x: Vector, u: Vector, p: Vector, out: Vector) -> None:
     """Fill out (3,) with [f, b_extend, b_retract] of x''' = f + b(sign u) u (P3 eq. 27, corrected).
 

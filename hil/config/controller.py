@@ -49,11 +49,11 @@ class Control(Section):
     """[control]: gains of the integral terminal sliding mode law (P3 chapter 4)."""
 
     law: Literal["intsmc"]
-    alpha1: Annotated[float, Field(gt=1.0)]
+    alpha1: Annotated[float, Field(gt=1.0, lt=4.0 / 3.0)]  # P3 eq. 4.15, n = 3
     c1: Positive
     c2: Positive
     c3: Positive
-    decay_per_s: NonNegative
+    decay_per_s: Positive
     switching_gain: Positive  # m/s3
     boundary_layer: Positive  # m/s
     singularity_bound: Annotated[float, Field(gt=0.0, le=1.0)]
@@ -70,11 +70,11 @@ class SineReference(Section):
 
 
 class StepReference(Section):
-    """[reference] kind = "step": a smooth ramp to each level in turn, over and over."""
+    """[reference] kind = "step": each level in turn, over and over, with a smooth ramp between them."""
 
     kind: Literal["step"]
     levels_m: Annotated[tuple[float, ...], Field(min_length=1)]
-    dwell_s: NonNegative  # at each level
+    dwell_s: Positive  # from one change of level to the next, ramp included
     ramp_s: Positive  # from one level to the next
     blend_s: Positive  # from the measured position to the first level
 

@@ -23,6 +23,7 @@ WORDING = {
     "model_type": "must be a table",
     "dict_type": "must be a table",
     "tuple_type": "must be an array",
+    "too_short": "must not be empty",
 }
 
 
@@ -36,17 +37,17 @@ class Problem(NamedTuple):
         """The mistake as one line, with the value that `raw`, the file's content, has at that place."""
         node: Any = raw
         for part in self.path:
-            if (isinstance(node, Mapping) and part in node) or isinstance(node, list):
-                node = node[part]
-            else:
+            inside = isinstance(node, list) or (isinstance(node, Mapping) and part in node)
+            if not inside:
                 return f"{file}: {dotted(self.path)}: {self.text}"
+            node = node[part]
         return f"{file}: {dotted(self.path)} = {shown(node)}: {self.text}"
 
 
 def shown(value: object) -> str:
     """A value much as a TOML file writes it, cut to a readable length."""
     text = json.dumps(value, default=str, ensure_ascii=False)
-    return text if len(text) <= MAX_VALUE_CHARACTERS else text[: MAX_VALUE_CHARACTERS - 4] + " ..."
+    return text if len(text) <= MAX_VALUE_CHARACTERS else text[: MAX_VALUE_CHARACTERS - 4].rstrip() + " ..."
 
 
 def dotted(path: Path) -> str:

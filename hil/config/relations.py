@@ -17,7 +17,7 @@ from servohil.hil.config.rig import Bus, Loop, Signals, Telemetry
 
 DATA_IDS: Final = 16  # E2E profile 2: one per value of the 4-bit counter
 TIMEOUT_PERIODS: Final = 3  # one late and one lost command must not stop the valve
-# Peak over mean speed of the smoothest ramp in use, the seventh-order polynomial with zero end jerk: 35/16.
+# Peak over mean speed of the ramp between levels, a polynomial of degree 7 (control.reference.SEPTIC_PEAK_SLOPE).
 RAMP_PEAK: Final = 35.0 / 16.0
 LISTEN: Final = re.compile(r"tcp/127\.0\.0\.1:(\d{1,5})")
 COMMAND_SIGNALS: Final = ("command", "control_word")
@@ -103,6 +103,8 @@ def _reference_inside_limits(
     for index, level in enumerate(reference.levels_m):
         if not low <= level <= high:
             yield Problem(("reference", "levels_m", index), f"limits are {low}..{high} m")
+    if reference.ramp_s > reference.dwell_s:
+        yield Problem(("reference", "ramp_s"), f"must be at most dwell_s = {reference.dwell_s}, which contains it")
     steps = [abs(after - before) for before, after in pairwise((*reference.levels_m, reference.levels_m[0]))]
     speed = RAMP_PEAK * max(steps) / reference.ramp_s
     if speed > limits.speed_max_mps:

@@ -1,8 +1,8 @@
 """What a recording looks like: names of channels, metadata and errors shared by writer and reader.
 
 One MCAP file, profile "servohil": channels `state` (State) and `inputs` (CycleInputs) with one message each per cycle,
-`checkpoint` (Checkpoint) and `event` (JSON); the rig's TOML and DBC as attachments, the rest of what a replay or a reader
-needs to know as the metadata record "servohil".
+`checkpoint` (Checkpoint) and `event` (JSON); the rig's TOML and DBC as attachments, the rest of what a replay or a
+reader needs to know as the metadata record "servohil".
 """
 
 from collections.abc import Mapping

@@ -71,8 +71,8 @@ def series(path: Path) -> list[Path]:
 class Recording:
     """One file. Constructing reads what stands before the first cycle; iterate `items` or `replayable` for the rest.
 
-    `complete` and `problem` are known when an iteration has come to its end: a file that was cut has complete = False and
-    problem None, a damaged one says what and where.
+    `complete` and `problem` are known when an iteration has come to its end: a file that was cut has complete = False
+    and problem None, a damaged one says what and where.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -115,6 +115,9 @@ class Recording:
                     return
                 if at + _FRAME.size + length > size:
                     return
+                if not opcode:  # a hole that the file system left behind after a power failure
+                    self.problem = f"{self.path} is damaged at byte {at}: zeros instead of records"
+                    return
                 body = stream.read(length)
                 try:
                     if opcode == Opcode.CHUNK:
@@ -129,7 +132,7 @@ class Recording:
                 at += _FRAME.size + length
 
     def items(self) -> Iterator[Item]:
-        """Everything recorded, in order. Raises RecordingError if the file's snapshots are not laid out as this build's."""
+        """Everything recorded, in order. Raises RecordingError if this build lays out its snapshots differently."""
         version, size = self.metadata.get("snapshot_version"), self.metadata.get("snapshot_bytes")
         if (version, size) != (str(SNAPSHOT_VERSION), str(SNAPSHOT.itemsize)):
             raise RecordingError(

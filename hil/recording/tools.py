@@ -16,7 +16,7 @@ _CHUNK_BYTES = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """What a recording holds. `complete`: it has its end and index; `problem`: where it is damaged, None if it is not."""
+    """What a recording holds. `complete`: it has its end and index; `problem`: where it is damaged, else None."""
 
     path: Path
     size_bytes: int

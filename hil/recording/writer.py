@@ -1,6 +1,7 @@
 """Crash-safe MCAP recording of cycles: what is written is on its way to the disk a quarter of a second later.
 
-A default MCAP writer loses everything at kill -9; here chunks are closed and flushed every FLUSH_NS, synced every SYNC_NS.
+A default MCAP writer loses everything at kill -9; here chunks are closed and flushed every FLUSH_NS, synced every
+SYNC_NS.
 """
 
 import contextlib
@@ -45,7 +46,7 @@ def numbered(path: Path, index: int) -> Path:
 class RecordingWriter:
     """Writes one recording, in files of about `rotate_bytes`. All methods raise OSError when the disk refuses.
 
-    `unix_origin_ns`: wall clock at t_ns = 0; 0 makes a file that repeats bit for bit.
+    `unix_origin_ns`: wall clock at t_ns = 0, settable until the first cycle; 0 makes a file that repeats bit for bit.
     Every file must open with a checkpoint: the caller sends one first, and again when `wants_checkpoint`.
     """
 
@@ -91,7 +92,6 @@ class RecordingWriter:
             "file": str(len(self.files) - 1),
             "snapshot_version": str(SNAPSHOT_VERSION),
             "snapshot_bytes": str(SNAPSHOT.itemsize),
-            "unix_origin_ns": str(self.unix_origin_ns),
         }
         writer.add_metadata(METADATA, facts)
         schemas = descriptor_set()
@@ -125,7 +125,7 @@ class RecordingWriter:
         self._replayable = True
 
     def add_cycles(self, snapshots: bytes, inputs: Sequence[bytes], samples: NDArray[np.uint8] | None = None) -> None:
-        """n cycles in order: n SNAPSHOT records end to end, their n inputs, and `encode_samples(snapshots)` if at hand."""
+        """n cycles: n SNAPSHOT records end to end, their n inputs, and `encode_samples(snapshots)` if at hand."""
         rows = encode_samples(snapshots) if samples is None else samples
         head = np.frombuffer(snapshots, SNAPSHOT)
         times = (head["t_ns"] + self.unix_origin_ns).tolist()
@@ -167,7 +167,7 @@ class RecordingWriter:
         self._stream.close()
 
     def close(self) -> None:
-        """Finish the file with its index. Raises OSError if the disk refuses; what was flushed before stays readable."""
+        """Finish the file with its index. What was flushed before stays readable if the disk refuses (OSError)."""
         self._close_file()
 
     def abandon(self) -> None:

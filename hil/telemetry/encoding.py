@@ -1,7 +1,7 @@
 """Snapshots to Protobuf and back as one copy between fixed places.
 
-All fields of `State` have wire types of fixed length (make_proto.py), so its encoding is [tag, 8 bytes] per field, always
-the same length, and a batch of samples is one numpy gather: 1 us per sample against 15 us through the message class.
+All fields of `State` have wire types of fixed length (make_proto.py), so its encoding is [tag, 8 bytes] per field,
+always the same length, and a batch of samples is one numpy copy: 2 us per sample against 15 through the message class.
 Zero is written out too, which proto3 allows and every parser reads.
 """
 
@@ -31,7 +31,7 @@ def varint(value: int) -> bytes:
 def _layout() -> tuple[bytes, NDArray[np.intp]]:
     """A State with empty fields, and the place of every snapshot byte in it."""
     template = bytearray()
-    places = []
+    places: list[int] = []
     for number in range(1, len(FIELDS) + 1):
         template += varint(number << 3 | _FIXED64)
         places += range(len(template), len(template) + 8)
@@ -67,7 +67,7 @@ def sample_state(row: NDArray[np.uint8]) -> bytes:
 
 
 def encode_batch(samples: NDArray[np.uint8], seq: int, t_unix_ns: int, age_ns: int, lost: int) -> bytes:
-    """A StateBatch of rows of `encode_samples`; fields of a message may come in any order, so they are just appended."""
+    """A StateBatch of rows of `encode_samples`, just appended: the fields of a message may come in any order."""
     head: bytes = StateBatch(seq=seq, t_unix_ns=t_unix_ns, age_ns=age_ns, lost=lost).SerializeToString()
     return head + samples.tobytes()
 

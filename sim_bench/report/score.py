@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.hil.gate import DeviceState
+from servohil.hil.gate import DeviceState, Event
 from servohil.sim_bench.report.truth import truth_index
 
 NS_PER_S: Final = 1e9
@@ -26,7 +26,16 @@ STATES: Final = {
 }
 # What two lockstep runs with one seed need not share: measured times, what other processes counted, where and when.
 NOT_DETERMINISTIC: Final = frozenset(
-    {"overruns", "periods_skipped", "rate_achieved_hz", "exec_us", "lateness_us", "telemetry", "recording", "provenance"}
+    {
+        "overruns",
+        "periods_skipped",
+        "rate_achieved_hz",
+        "exec_us",
+        "lateness_us",
+        "telemetry",
+        "recording",
+        "provenance",
+    }
 )
 NOT_DETERMINISTIC_VERDICTS: Final = frozenset({"rate"})
 
@@ -109,6 +118,11 @@ def _percentiles_us(measured_ns: NDArray[np.int64], realtime: bool) -> dict[str,
     return {"p50": p50, "p99": p99, "p999": p999, "max": float(np.max(values))}
 
 
+def event_names(bits: int) -> list[str]:
+    """Names of the gate's events in a bit field."""
+    return [str(event.name) for event in Event if bits & event]
+
+
 def _cycles(snapshots: NDArray[np.void]) -> dict[str, int]:
     """Cycles run, and how many of them are missing in the log (the number jumps by 1 + skipped)."""
     missing = int(np.sum(np.diff(snapshots["cycle"]) - 1 - snapshots["skipped"][1:]))
@@ -160,7 +174,7 @@ def score(
     truth: NDArray[np.void],
     loop_start_ns: int,
     facts: RunFacts,
-    warm_up: WarmUp = WarmUp(),  # noqa: B008 (frozen)
+    warm_up: WarmUp = WarmUp(),
 ) -> dict[str, Any]:
     """The report of a run; `verdicts.add_verdicts` judges it.
 
@@ -222,7 +236,7 @@ def score(
         "leak": _leak(snapshots, truth, loop_start_ns, zero_ns, facts),
         "telemetry": {"published": facts.published, "received": facts.received},
         "final_state": DeviceState(int(last["state"])).name,
-        "fault_bits": int(last["fault"]),
+        "fault": event_names(int(last["fault"])),
         "frames_rejected": int(last["rx_rejected"]),
         "filter_repairs": int(last["filter_repairs"]),
         "recording": facts.recording,

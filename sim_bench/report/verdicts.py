@@ -23,7 +23,7 @@ class Limits:
     rate_tolerance: float | None = 0.01  # relative
 
 
-def add_verdicts(report: Mapping[str, Any], limits: Limits = Limits()) -> dict[str, Any]:  # noqa: B008 (frozen)
+def add_verdicts(report: Mapping[str, Any], limits: Limits = Limits()) -> dict[str, Any]:
     """The report with "verdicts": a list of {name, value, unit, limit, holds}, and "holds": all of them.
 
     `limit` has the forms of hil.claims; a value of None ("not measured") never holds.
@@ -35,7 +35,9 @@ def add_verdicts(report: Mapping[str, Any], limits: Limits = Limits()) -> dict[s
         verdicts.append({"name": name, "value": value, "unit": unit, "limit": limit, "holds": holds})
 
     if limits.tracking_rmse_m is not None:
-        judge("tracking rmse", report["tracking"]["rmse_m"], "m", f"<= {limits.tracking_rmse_m:g}")
+        rmse_m = report["tracking"]["rmse_m"]
+        rmse_mm = None if rmse_m is None else rmse_m * 1e3
+        judge("tracking rmse", rmse_mm, "mm", f"<= {limits.tracking_rmse_m * 1e3:g}")
     if report["leak"]["planned_at_s"] is not None and limits.leak_latency_s is not None:
         judge("leak detected after", report["leak"]["latency_s"], "s", f"<= {limits.leak_latency_s:g}")
     judge("false alarms", report["leak"]["false_alarms"], "1", "== 0")
@@ -90,7 +92,7 @@ def summary_lines(report: Mapping[str, Any]) -> list[str]:
         ("leak", opened),
         ("detected", f"{_at(leak['detected_at_s'])}, {leak['false_alarms']} false alarms"),
         ("telemetry", f"{_count(telemetry['published'])} published, {_count(telemetry['received'])} received"),
-        ("final state", report["final_state"]),
+        ("final state", " ".join([report["final_state"], *report["fault"]])),
         ("recording", report["recording"] or "none"),
     ]
     lines = [f"{name:<12} {text}" for name, text in rows]

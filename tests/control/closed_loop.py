@@ -25,8 +25,8 @@ SUPPLY_PA, TANK_PA = 14e6, 0.9e6
 START = np.array([0.18, 0.0, 26.7e5, 50.6e5])
 SI = np.array([1.0, 1.0, 1e6, 1e6])
 QUANTUM = np.array([1e-6, 1e-3, 1e-3])  # m, MPa, MPa
-PROCESS_STD = np.array([1e-6, 1e-4, 2e-3, 2e-3])  # of the filter, per cycle; m, m/s, MPa, MPa
-MEASUREMENT_STD = np.array([40e-6, 0.02, 0.02])
+PROCESS_STD = np.array([1e-6, 1e-4, 0.02, 0.02])  # of the filter, per cycle; m, m/s, MPa, MPa
+MEASUREMENT_STD = np.array([20e-6, 0.02, 0.02])
 PLANT_PROCESS_STD = np.array([0.0, 1e-5, 500.0, 500.0])
 BENCH_SINE = SineProfile(0.3, 0.15, 2.0, blend_s=2.0)
 JITTER_PARTS = 10
@@ -88,7 +88,8 @@ class Scenario:
     jitter: bool = False
     stall_every_s: float = 0.0  # 0: none
     stall_cycles: int = 5
-    predict_ahead: bool = True
+    predict_ahead: bool = False
+    late_cycles: int = 0  # more delay than the loop is built for
     noisy: bool = True
     process_std: tuple[float, ...] = tuple(PROCESS_STD)
 
@@ -138,13 +139,14 @@ def simulate(gains: IntsmcGains, scenario: Scenario, limit_v: float = 10.0) -> R
     log_ref, log_x, log_est = np.zeros((n, 4)), np.zeros((n, 4)), np.zeros((n, 4))
     log_u, log_sigma = np.zeros(n), np.zeros(n)
     applied, waiting, missed, start_m = 0.0, 0.0, 0, START[0]
+    under_way = [0.0] * scenario.late_cycles
     for k in range(n):
         if k == round(scenario.leak_at_s / T):
             plant.set_leak(scenario.leak_kind, scenario.leak)
         log_x[k] = plant.state
         reading = sensors.read(plant.state, SUPPLY_PA, TANK_PA, applied)
         y = np.round(reading[:3] / SI[[0, 2, 3]] / QUANTUM) * QUANTUM * 1.0
-        computed = waiting
+        computed = under_way[-1] if under_way else waiting
         stalled = stall_period > 0 and k >= stall_period and k % stall_period < scenario.stall_cycles
         evaluate(profile, t_s[k], start_m, ref)
         log_ref[k] = ref
@@ -178,5 +180,6 @@ def simulate(gains: IntsmcGains, scenario: Scenario, limit_v: float = 10.0) -> R
                 plant.step(value, rng.standard_normal(4), T / JITTER_PARTS)
         else:
             plant.step(waiting, rng.standard_normal(4), T)
-        applied, waiting = waiting, computed
+        under_way.append(computed)
+        applied, waiting = waiting, under_way.pop(0)
     return Run(t_s, log_ref, log_x, log_est, log_u, log_sigma)

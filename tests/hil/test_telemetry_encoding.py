@@ -29,7 +29,10 @@ def test_committed_proto_is_the_one_of_these_fields() -> None:
 
 def test_committed_classes_are_the_ones_of_these_fields() -> None:
     fields = pb.State.DESCRIPTOR.fields
-    kinds = {"<i8": descriptor_pb2.FieldDescriptorProto.TYPE_SFIXED64, "<f8": descriptor_pb2.FieldDescriptorProto.TYPE_DOUBLE}
+    kinds = {
+        "<i8": descriptor_pb2.FieldDescriptorProto.TYPE_SFIXED64,
+        "<f8": descriptor_pb2.FieldDescriptorProto.TYPE_DOUBLE,
+    }
     assert [(f.name, f.number, f.type) for f in fields] == [
         (name, i + 1, kinds[kind]) for i, (name, kind, _, _) in enumerate(FIELDS)
     ]

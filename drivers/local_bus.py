@@ -1,0 +1,88 @@
+"""python-can's view of the embedded bus: interface "servohil", so that every python-can program can join it.
+
+    python -m can.viewer -i servohil -c bench
+
+Host-local, one user, no echo; see local_mesh for what is guaranteed. The loop's own port does not come this way.
+"""
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import can
+import numpy as np
+
+from servohil.drivers.frame import FLAG_ERROR, FLAG_EXTENDED, FLAG_FD, FLAG_REMOTE, FRAME
+from servohil.drivers.local_mesh import Mesh, live_channels
+from servohil.drivers.local_port import INTERFACE
+from servohil.drivers.port import BadBusOption, BusUnavailable
+
+
+class LocalBus(can.BusABC):
+    """A node on the embedded bus `channel`.
+
+    Raises CanInitializationError where the bus cannot be joined, CanInterfaceNotImplementedError for
+    receive_own_messages or fd.
+    """
+
+    def __init__(
+        self, channel: str, can_filters: Any = None, receive_own_messages: bool = False, fd: bool = False, **kwargs: Any
+    ) -> None:
+        if receive_own_messages or fd:
+            raise can.CanInterfaceNotImplementedError("the embedded bus has neither receive_own_messages nor fd")
+        try:
+            self._mesh = Mesh(channel)
+        except (BusUnavailable, BadBusOption) as error:
+            raise can.CanInitializationError(str(error)) from error
+        self.channel = channel
+        self.channel_info = f"servohil embedded bus '{channel}'"
+        self._frame = np.zeros(1, dtype=FRAME)
+        super().__init__(channel, can_filters, **kwargs)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Give a message to all other nodes; never blocks. A node that does not read loses it."""
+        if self._is_shutdown:
+            raise can.CanOperationError(f"{self.channel_info} is shut down")
+        if msg.is_fd:
+            raise can.CanOperationError(f"{self.channel_info} carries classic CAN frames only, this one is FD")
+        flags = FLAG_EXTENDED * msg.is_extended_id | FLAG_REMOTE * msg.is_remote_frame | FLAG_ERROR * msg.is_error_frame
+        self._mesh.send_frame(msg.arbitration_id, msg.dlc, flags, bytes(msg.data))
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if self._is_shutdown:
+            raise can.CanOperationError(f"{self.channel_info} is shut down")
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while self._mesh.drain_into(self._frame) == 0:
+            left = None if deadline is None else deadline - time.monotonic()
+            # A wake-up may only mean that somebody joined or left: look again until the time is over.
+            if left is not None and left <= 0:
+                return None, False
+            self._mesh.wait(left)
+        frame = self._frame[0]
+        flags, dlc = int(frame["flags"]), int(frame["dlc"])
+        remote = bool(flags & FLAG_REMOTE)
+        message = can.Message(
+            timestamp=time.time() - int(frame["age_ns"]) * 1e-9,
+            arbitration_id=int(frame["id"]),
+            is_extended_id=bool(flags & FLAG_EXTENDED),
+            is_remote_frame=remote,
+            is_error_frame=bool(flags & FLAG_ERROR),
+            is_fd=bool(flags & FLAG_FD),
+            channel=self.channel,
+            dlc=dlc,
+            data=None if remote else frame["data"][:dlc].tobytes(),
+        )
+        return message, False
+
+    def fileno(self) -> int:
+        return self._mesh.fileno()
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        # The constructor may have failed before there was a mesh.
+        if hasattr(self, "_mesh"):
+            self._mesh.close()
+
+    @staticmethod
+    def _detect_available_configs() -> Sequence[Any]:
+        return [{"interface": INTERFACE, "channel": channel} for channel in live_channels()]

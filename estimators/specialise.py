@@ -1,0 +1,76 @@
+"""Compiles our steps around a user's model, once per meaning of everything that goes into them.
+
+A step is a plain function that refers to the model through global names (`f`, `h`, `N`, ...). It is compiled with the
+model's functions and sizes as those globals, so they are constants to the compiler. numba's disk cache files a function
+under its source file and cannot see that its globals differ or that a callee in another file was edited; so the step
+is presented under a file of its own, named after a hash of all it refers to (`fingerprint.py`). The second process
+start is served from the cache, and an edit of the model can never be served the old code. Where something has no
+identity (an object in a closure), or the cache folder cannot be written, the step is compiled in memory.
+"""
+
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import numba
+
+from servohil.estimators.fingerprint import NotIdentifiable, fingerprint
+
+_compiled: dict[str, Any] = {}
+
+
+def specialise(
+    kernel: Callable[..., Any], signature: str, values: Mapping[str, Any], check: Callable[[], None] | None = None
+) -> Any:
+    """Compile `kernel` with `values` in place of its global names of the same names.
+
+    Args:
+        kernel: plain module-level function of this library.
+        signature: numba signature, e.g. "void(f8[::1])".
+        values: what the names stand for: compiled functions, numbers.
+        check: called first unless an earlier compilation, here or in another process, has passed it; may raise.
+
+    Returns:
+        The compiled function (with NUMBA_DISABLE_JIT=1 the plain one).
+    """
+    assert isinstance(kernel, FunctionType)
+    function = _with_globals(kernel, values, kernel.__code__.co_filename)
+    try:
+        key = fingerprint(signature, function)
+    except NotIdentifiable:
+        key = ""
+    if key in _compiled:
+        return _compiled[key]
+    file = Path(numba.config.CACHE_DIR or os.devnull) / "models" / f"{kernel.__module__}.{kernel.__name__}.{key}.py"
+    known = key != "" and file.is_file()
+    if check is not None and not known:
+        check()
+    if numba.config.DISABLE_JIT:
+        return function
+    cache = known or (key != "" and _write(file, f"# {kernel.__module__}.{kernel.__name__} {signature}\n# {key}\n"))
+    if cache:
+        function = _with_globals(kernel, values, str(file))
+    compiled = numba.njit(signature, cache=cache, nogil=True, error_model="numpy")(function)
+    if key:
+        _compiled[key] = compiled
+    return compiled
+
+
+def _with_globals(kernel: FunctionType, values: Mapping[str, Any], filename: str) -> FunctionType:
+    code = kernel.__code__.replace(co_filename=filename)
+    return FunctionType(code, {**kernel.__globals__, **values}, kernel.__name__)
+
+
+def _write(file: Path, text: str) -> bool:
+    """Create the file whole or not at all; another process may be doing the same."""
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=file.parent, suffix=".tmp", delete=False) as temporary:
+            temporary.write(text)
+        os.replace(temporary.name, file)
+    except OSError:
+        return False
+    return True

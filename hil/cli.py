@@ -1,0 +1,219 @@
+"""The `hil` command. Heavy imports live inside the commands, so that `hil --help` answers at once."""
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+if TYPE_CHECKING:
+    from servohil.hil.config import Rig
+
+DEFAULT_RIG: Final = Path(__file__).resolve().parent.parent / "rigs" / "bench.toml"
+EXIT_REFUSED: Final = 1
+RIG = click.argument("rig", type=click.Path(path_type=Path), default=DEFAULT_RIG, required=False)
+LEAK_KIND = click.Choice(["internal", "external_a", "external_b"])
+POSITIVE = click.FloatRange(min=0.0, min_open=True)
+NOT_NEGATIVE = click.FloatRange(min=0.0)
+
+
+@contextmanager
+def one_clear_line() -> Iterator[None]:
+    """Errors that a person can act on come as text without a traceback; everything else is a bug and keeps its own."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise click.exceptions.Exit(130) from None
+    except click.ClickException:
+        raise
+    except (OSError, ValueError) as error:
+        click.echo(f"hil: {error}", err=True)
+        raise click.exceptions.Exit(EXIT_REFUSED) from None
+
+
+def stop_with_parent_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """`--stop-with-parent PID`: for processes that the bench starts."""
+    return click.option("--stop-with-parent", "parent", type=int, hidden=True)(command)
+
+
+def follow(parent: int | None) -> None:
+    """End when the process that started us ends."""
+    if parent is not None:
+        from servohil.hil.lifeline import stop_with_parent
+
+        stop_with_parent(parent)
+
+
+def load(path: Path) -> "Rig":
+    """The rig at `path`; raises ConfigError."""
+    from servohil.hil.config import load_rig
+
+    return load_rig(path)
+
+
+def new_folder(base: str, name: str) -> Path:
+    """A fresh folder for one run, named by UTC time."""
+    stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+    for attempt in range(100):
+        folder = Path(base) / (f"{stamp}-{name}" if not attempt else f"{stamp}-{name}-{attempt}")
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        return folder
+    raise OSError(f"{base}: no free folder name for {stamp}-{name}")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="servohil")
+def main() -> None:
+    """servohil: real-time hardware-in-the-loop control of servo-hydraulic actuators."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+@main.command()
+@RIG
+@click.option("--folder", type=click.Path(path_type=Path), help="Folder for this run's files (default: a new one).")
+@click.option("--duration", type=POSITIVE, help="Seconds in ACTIVE, then disable and end. Default: until stopped.")
+@click.option("--enable", is_flag=True, help="Enable as soon as the loop is ready, without an operator's command.")
+@click.option("--listen-only", is_flag=True, help="Shadow mode: read, estimate, diagnose, publish; never send.")
+@click.option("--stop-on-fault", is_flag=True, help="End the run when a fault is latched.")
+@click.option("--wait-for-subscriber", type=NOT_NEGATIVE, default=0.0, help="Wait so many seconds for a subscriber.")
+@stop_with_parent_option
+def run(
+    rig: Path,
+    folder: Path | None,
+    duration: float | None,
+    enable: bool,
+    listen_only: bool,
+    stop_on_fault: bool,
+    wait_for_subscriber: float,
+    parent: int | None,
+) -> None:
+    """Run the controller of RIG on its bus."""
+    follow(parent)
+    with one_clear_line():
+        from servohil.hil.config.effective import write_effective
+        from servohil.hil.run import RunOptions, run_controller
+
+        loaded = load(rig)
+        if folder is None:
+            folder = new_folder(loaded.recording.directory, "run")
+            loaded = write_effective(loaded, folder)
+        options = RunOptions(folder, duration, enable, listen_only, stop_on_fault, wait_for_subscriber)
+        summary = run_controller(loaded, options, click.echo)
+        loop = summary.loop
+        click.echo(
+            f"{loop.final_state.name} after {loop.cycles} cycles, {loop.overruns} overruns; "
+            f"{summary.telemetry.get('published', 0)} samples published; files in {folder}"
+        )
+        if loop.telemetry_died:
+            click.echo("hil: the telemetry process ended during the run; the recording ends there", err=True)
+    sys.exit(summary.exit_code)
+
+
+@main.command()
+@RIG
+@click.option("--leak-at", type=NOT_NEGATIVE, help="Seconds after the first ACTIVE command at which a leak opens.")
+@click.option("--leak", type=NOT_NEGATIVE, default=1e-11, show_default=True, help="Its coefficient, m3/(s Pa).")
+@click.option("--leak-kind", type=LEAK_KIND, default="internal", show_default=True)
+@click.option("--truth", type=click.Path(path_type=Path), help="Save the true states here (.npy) at the end.")
+@click.option("--log", type=POSITIVE, default=600.0, help="Seconds of truth to keep (the last ones).")
+@stop_with_parent_option
+def rig(
+    rig: Path, leak_at: float | None, leak: float, leak_kind: str, truth: Path | None, log: float, parent: int | None
+) -> None:
+    """Run the simulated actuator node of RIG on its bus, until stopped."""
+    follow(parent)
+    with one_clear_line():
+        from servohil.drivers.bus_lock import BusLock
+        from servohil.drivers.open_port import open_port
+        from servohil.hil.assemble import command_message, load_bus_codec, sensor_messages
+        from servohil.sim_bench.actuator_node import LeakPlan
+        from servohil.sim_bench.node_process import run_node
+
+        loaded = load(rig)
+        plan = None if leak_at is None else LeakPlan(leak_at, leak, leak_kind)
+        ids = load_bus_codec(loaded, [command_message(loaded)], sensor_messages(loaded)).receive_ids
+        port = open_port(loaded.bus.interface, loaded.bus.channel, receive_ids=ids, options=loaded.bus.options)
+        try:
+            with BusLock(port.name, "node"):
+                click.echo(f"bus: {port.reason}")
+                steps = run_node(loaded, port, plan, truth, log)
+        finally:
+            port.close()
+    click.echo(f"{steps} steps")
+
+
+@main.command()
+@click.argument("setup", type=click.Path(path_type=Path))
+def telemetry(setup: Path) -> None:
+    """Run the telemetry process on SETUP, a file that the controller writes. (`hil run` starts it by itself.)"""
+    with one_clear_line():
+        from servohil.hil.telemetry.process import run_telemetry
+        from servohil.hil.telemetry.setup import load_setup
+
+        code = run_telemetry(load_setup(setup))
+    sys.exit(code)
+
+
+@main.command()
+@RIG
+@click.option("--duration", type=POSITIVE, default=20.0, show_default=True, help="Seconds in ACTIVE.")
+@click.option("--rate", type=click.FloatRange(1.0, 10_000.0), help="Cycles per second (default: as in RIG).")
+@click.option("--leak-at", type=NOT_NEGATIVE, default=12.0, show_default=True, help="Seconds after enabling.")
+@click.option("--leak", type=NOT_NEGATIVE, default=1e-11, show_default=True, help="m3/(s Pa); 0: no leak.")
+@click.option("--leak-kind", type=LEAK_KIND, default="internal", show_default=True)
+@click.option("--lockstep", is_flag=True, help="Simulated time: no waiting, bit-for-bit repeatable.")
+@click.option("--seed", type=click.IntRange(min=0), help="Of the simulated noise (default: as in RIG).")
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the report here as well.")
+@click.option("--protocol-only", is_flag=True, help="Judge states, leak and end, not accuracy or rate.")
+def bench(
+    rig: Path,
+    duration: float,
+    rate: float | None,
+    leak_at: float,
+    leak: float,
+    leak_kind: str,
+    lockstep: bool,
+    seed: int | None,
+    json_path: Path | None,
+    protocol_only: bool,
+) -> None:
+    """Close the loop on a simulated cylinder, inject a leak, and report."""
+    with one_clear_line():
+        from servohil.sim_bench.bench_command import bench_command
+
+        code = bench_command(rig, duration, rate, (leak_at, leak, leak_kind), lockstep, seed, json_path, protocol_only)
+    sys.exit(code)
+
+
+@main.command()
+@click.argument("recording", type=click.Path(path_type=Path))
+def replay(recording: Path) -> None:
+    """Feed RECORDING through the controller again; every recorded output must come out bit for bit."""
+    with one_clear_line():
+        from servohil.hil.replay_recording import replay_recording
+
+        result = replay_recording(recording, click.echo)
+    sys.exit(0 if result.identical else EXIT_REFUSED)
+
+
+@main.command()
+@RIG
+def doctor(rig: Path) -> None:
+    """Check this machine for what RIG needs, and say what to change."""
+    with one_clear_line():
+        from servohil.hil.doctor import doctor_lines, exit_code, run_doctor
+
+        checks = run_doctor(load(rig))
+        click.echo("\n".join(doctor_lines(checks)))
+    sys.exit(exit_code(checks))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,82 @@
+"""`hil rig`: the simulated actuator node in real time on a bus, until it is told to stop."""
+
+import os
+import signal
+import time
+from pathlib import Path
+from types import FrameType
+from typing import Final
+
+import numpy as np
+
+from servohil.drivers.frame import FRAME
+from servohil.drivers.port import Port
+from servohil.hil.config import Rig
+from servohil.hil.pacer import Pacer
+from servohil.hil.realtime_setup import make_realtime
+from servohil.sim_bench.actuator_node import ActuatorNode, LeakPlan, TruthLog, plant_section
+
+NODE_PHASE: Final = 0.0  # the controller's default is half a period later
+DRY_STEPS: Final = 50
+MAX_FRAMES: Final = 256
+LOG_MARGIN_S: Final = 60.0
+LONGEST_CATCH_UP: Final = 1000  # periods of plant motion made up for after a stall
+
+
+class Stop:
+    """Set by SIGTERM or SIGINT."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        signal.signal(signal.SIGTERM, self._ask)
+        signal.signal(signal.SIGINT, self._ask)
+
+    def _ask(self, _signal: int, _frame: FrameType | None) -> None:
+        self.asked = True
+
+
+def warm_up(rig: Rig) -> None:
+    """Compile everything the node runs, on a node of its own."""
+    node = ActuatorNode(rig, LeakPlan(0.0, 1e-12, "internal"), TruthLog(DRY_STEPS))
+    frames = np.zeros(MAX_FRAMES, dtype=FRAME)
+    for k in range(DRY_STEPS):
+        node.step(frames, 0, k * node.period_ns, 1)
+
+
+def run_node(rig: Rig, port: Port, leak: LeakPlan | None, truth_path: Path | None, log_s: float, ready: Path | None) -> int:
+    """Run until SIGTERM or SIGINT, then save the truth log (.npy). Returns the number of steps.
+
+    Args:
+        rig: the configuration; its [plant] is the truth.
+        port: an open port that receives the command message.
+        leak: what to inject.
+        truth_path: where the truth goes, or None.
+        log_s: how much of it is kept, s.
+        ready: a file to create once the node speaks; None to skip.
+    """
+    stop = Stop()
+    plant_section(rig)
+    warm_up(rig)
+    log = TruthLog(max(1, int((log_s + LOG_MARGIN_S) * rig.loop.rate_hz)) if truth_path else 1)
+    node = ActuatorNode(rig, leak, log)
+    frames = np.zeros(MAX_FRAMES, dtype=FRAME)
+    pacer = Pacer(rig.loop.period_ns, NODE_PHASE)
+    make_realtime(rig.loop.priority)
+    pacer.start()
+    if ready is not None:
+        ready.write_text(f"{os.getpid()}\n")
+    steps, periods = 0, 1
+    while not stop.asked:
+        now = pacer.wait()
+        n = port.drain(frames)
+        for can_id, data in node.step(frames, n, now, periods):
+            port.send(can_id, data)
+        periods = 1 + min(pacer.advance(time.monotonic_ns()), LONGEST_CATCH_UP)
+        steps += 1
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    if truth_path is not None:
+        temporary = truth_path.with_suffix(".part")
+        with temporary.open("wb") as file:
+            np.save(file, log.rows(), allow_pickle=False)
+        temporary.replace(truth_path)
+    return steps

@@ -1,0 +1,34 @@
+"""What the driver tests share: the bench's DBC and protections for it."""
+
+from pathlib import Path
+
+import numpy as np
+
+from servohil.drivers.codec import Codec, MessageProtection, load_codec
+from servohil.drivers.e2e import data_ids
+from servohil.drivers.frame import FRAME, FRAME_STRUCT
+
+BENCH_DBC = Path(__file__).parents[2] / "rigs" / "bench.dbc"
+SENSOR_MESSAGES = ("Position", "PressureAB", "PressureSupplyTank", "ValveStatus")
+COMMAND = "ValveCommand"
+PROTECTIONS = {
+    name: MessageProtection(1_000_000, "profile2", data_ids(17 + k))
+    for k, name in enumerate((*SENSOR_MESSAGES, COMMAND))
+}
+
+
+def controller_codec() -> Codec:
+    return load_codec(BENCH_DBC, PROTECTIONS, SENSOR_MESSAGES, [COMMAND])
+
+
+def node_codec() -> Codec:
+    return load_codec(BENCH_DBC, PROTECTIONS, [COMMAND], SENSOR_MESSAGES)
+
+
+def frames_of(*records: tuple[int, bytes], flags: int = 0, age_ns: int = 0, dlc: int | None = None) -> np.ndarray:
+    """A drained batch: (id, data) each."""
+    frames = np.zeros(len(records), dtype=FRAME)
+    for k, (can_id, data) in enumerate(records):
+        length = len(data) if dlc is None else dlc
+        FRAME_STRUCT.pack_into(frames.view(np.uint8).data, k * FRAME.itemsize, can_id, length, flags, 0, age_ns, data)
+    return frames

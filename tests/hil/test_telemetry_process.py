@@ -1,0 +1,339 @@
+"""The telemetry process as others see it: what it publishes, how it ends, what it survives. All processes are real."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zenoh
+from fake_controller import PERIOD_NS, made_up, made_up_checkpoint, made_up_inputs
+from telemetry_rig import ROOT, FakeRig, is_running, until
+
+from servohil.hil.recording.reader import Checkpoint, Cycle, Gap, Recording
+from servohil.hil.recording.tools import info
+from servohil.hil.ring import RingWriter
+from servohil.hil.snapshot import SNAPSHOT
+from servohil.hil.telemetry import servohil_pb2 as pb
+from servohil.hil.telemetry.session import client_settings, open_hub, open_session
+from servohil.hil.telemetry.setup import TelemetryError, TelemetrySetup
+
+pytestmark = pytest.mark.processes
+
+
+def payloads(samples: list[zenoh.Sample]) -> list[bytes]:
+    return [sample.payload.to_bytes() for sample in samples]
+
+
+def start_alone(folder: Path, **fields: Any) -> subprocess.Popen[str]:
+    """A telemetry process on whatever `fields` say."""
+    TelemetrySetup(**{"rig": "fake", "listen": "tcp/127.0.0.1:0", **fields}).save(folder / "alone.json")
+    return subprocess.Popen(
+        [sys.executable, "-m", "servohil.hil.telemetry", str(folder / "alone.json")],
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_every_sample_arrives_and_is_recorded_bit_for_bit(tmp_path: Path) -> None:
+    # The endpoint must be known before telemetry says ready, so take a free port first.
+    session, endpoint = open_hub("tcp/127.0.0.1:0")
+    session.close()
+    n = 1500
+    with FakeRig(tmp_path, cycles=n, setup={"listen": endpoint, "wait_for_subscriber_s": 20.0}) as rig:
+        client = until(lambda: _try_open(endpoint), "telemetry listening")
+        received: list[zenoh.Sample] = []
+        ends: list[zenoh.Sample] = []
+        subscriber = client.declare_subscriber(f"{ROOT}/state", received.append)
+        end_subscriber = client.declare_subscriber(f"{ROOT}/event/info/end", ends.append)
+        facts = rig.end()
+        until(lambda: ends, "the last event")
+        batches = [pb.StateBatch.FromString(data) for data in payloads(received)]
+        samples = [sample for batch in batches for sample in batch.samples]
+        del subscriber, end_subscriber
+        client.close()
+    assert facts == {
+        "code": 0,
+        "dropped": 0,
+        "cycles": n,
+        "published": n,
+        "batches": len(batches),
+        "lost": 0,
+        "recorded": n,
+    }
+    assert [batch.seq for batch in batches] == list(range(1, len(batches) + 1))
+    assert str(received[0].encoding) == "application/protobuf;servohil.v1.StateBatch"
+    assert all(0 <= batch.age_ns < 2e9 for batch in batches)
+    assert sorted(batch.age_ns for batch in batches)[len(batches) // 2] < 50e6
+    assert abs(batches[-1].t_unix_ns - time.time_ns()) < 60e9
+    assert 100 <= len(batches) <= n / 4, "batches of about 10"
+    expected = [made_up(i)[0] for i in range(n)]
+    for row, sample in zip(expected, samples, strict=True):
+        assert sample.cycle == row["cycle"]
+        assert np.float64(sample.position_m).tobytes() == row["position_m"].tobytes()
+        assert np.float64(sample.sliding).tobytes() == row["sliding"].tobytes()
+    result = rig.result()
+    assert (result["published"], result["recorded"], result["reason"]) == (n, n, "end")
+    assert result["last_words"] == {"final_state": "DISABLED"} and result["subscribed_at_start"]
+    items = list(Recording(rig.recording).replayable())
+    assert items[0] == Checkpoint(made_up_checkpoint(0))
+    assert items[1:] == [Cycle(made_up(i).tobytes(), made_up_inputs(i)) for i in range(n)]
+    assert info(rig.recording).complete
+    assert not list(tmp_path.glob("*.ring"))
+
+
+def _try_open(endpoint: str) -> zenoh.Session | None:
+    settings = client_settings([endpoint])
+    settings["connect"]["timeout_ms"] = 0
+    try:
+        return open_session(settings)
+    except zenoh.ZError:
+        return None
+
+
+def test_events_snapshot_and_liveliness(tmp_path: Path) -> None:
+    with FakeRig(tmp_path, leak_at=300) as rig:
+        rig.ready()
+        alive: list[zenoh.Sample] = []
+        watch = rig.session.liveliness().declare_subscriber(f"{ROOT}/alive", alive.append, history=True)
+        events, snapshots = rig.subscribe("event/**"), rig.subscribe("snapshot")
+        until(lambda: alive, "liveliness")
+        assert alive[0].kind == zenoh.SampleKind.PUT
+        until(lambda: any(str(e.key_expr).endswith("alarm/leak") for e in events), "the leak event")
+        leak = json.loads(next(e for e in events if str(e.key_expr).endswith("alarm/leak")).payload.to_bytes())
+        assert leak["cycle"] == 300 and leak["channel"] == 2 and leak["since_ns"] == 300 * PERIOD_NS
+        assert "pressure B" in leak["text"]
+        # late joiners ask for what was said before
+        assert {e["code"] for e in rig.ask("event/**")} == {"state", "leak"}
+        until(lambda: len(snapshots) >= 5, "five readable snapshots")
+        texts = [json.loads(data) for data in payloads(snapshots[-5:])]
+        assert all(text["state"] == "DISABLED" for text in texts)
+        for text in texts:
+            row = made_up(text["cycle"])[0]
+            assert text["cusum_a"] == row["cusum_a"]
+            assert text["position_m"] == (None if np.isnan(row["position_m"]) else row["position_m"])
+        steps = np.diff([text["cycle"] for text in texts])
+        assert np.all(np.abs(steps - 100) < 60), "10 Hz"
+        os.killpg(rig.controller.pid, signal.SIGINT)  # as Ctrl-C does: telemetry must leave it to the controller
+        assert rig.end()["code"] == 0
+        until(lambda: len(alive) > 1, "the token's end")
+        assert alive[-1].kind == zenoh.SampleKind.DELETE
+        del watch
+    assert rig.result()["reason"] == "end"
+
+
+def test_kill_9_of_the_controller(tmp_path: Path) -> None:
+    with FakeRig(tmp_path) as rig:
+        rig.ready()
+        ends, batches = rig.subscribe("event/error/end"), rig.subscribe("state")
+        until(lambda: len(batches) > 30, "some batches")
+        started = time.monotonic()
+        os.kill(rig.controller.pid, signal.SIGKILL)
+        until(lambda: not is_running(rig.telemetry_pid), "telemetry's end")
+        assert time.monotonic() - started < 2.0
+        until(lambda: ends, "the last event")
+        assert json.loads(ends[0].payload.to_bytes())["reason"] == "controller died"
+        assert not rig.ring.exists(), "the ring of a dead controller is removed"
+        result, found = rig.result(), info(rig.recording)
+        assert result["reason"] == "controller died"
+        assert found.complete and found.gaps == 0
+        assert found.cycles == found.replayable == result["recorded"] == result["published"]
+        last = pb.StateBatch.FromString(payloads(batches)[-1]).samples[-1].cycle
+        assert last == found.last_cycle, "drained to the last cycle that was written"
+
+
+def test_exit_code_says_that_the_controller_died(tmp_path: Path) -> None:
+    writer = RingWriter(directory=tmp_path)
+    telemetry = start_alone(tmp_path, ring=str(writer.file.path))
+    until(lambda: writer.ready, "ready")
+    writer.file.words[4] = 0  # nobody signs as the writer any more
+    assert telemetry.wait(5) == 3
+    assert telemetry.stderr and telemetry.stderr.read() == ""
+    telemetry.stderr.close()
+    writer.close()
+
+
+def test_kill_9_of_telemetry_then_a_second_one(tmp_path: Path) -> None:
+    with FakeRig(tmp_path) as rig:
+        rig.ready()
+        batches = rig.subscribe("state")
+        until(lambda: len(batches) > 60, "some batches")
+        os.kill(rig.telemetry_pid, signal.SIGKILL)
+        until(lambda: not is_running(rig.telemetry_pid), "its end")
+        before = info(rig.recording)
+        assert not before.complete and before.problem is None
+        last = pb.StateBatch.FromString(payloads(batches)[-1]).samples[-1].cycle
+        assert last - 600 < before.last_cycle <= last + 20, "at most the flush period and a batch are lost"
+        assert rig.controller.poll() is None, "the controller does not care"
+        second_recording = tmp_path / "second.mcap"
+        second = start_alone(
+            tmp_path, ring=str(rig.ring), recording=str(second_recording), result=str(tmp_path / "2.json")
+        )
+        found = until(lambda: _info_if(second_recording, 100), "cycles in the second recording")
+        assert found.checkpoints >= 1, "asked the controller for its state"
+        second.send_signal(signal.SIGTERM)
+        assert second.wait(2) == 0
+        assert second.stderr
+        second.stderr.close()
+        assert info(second_recording).complete
+        assert json.loads((tmp_path / "2.json").read_text())["reason"] == "stopped"
+        kinds = [type(item) for item in Recording(second_recording).replayable()]
+        assert kinds[0] is Checkpoint and kinds.count(Cycle) > 0
+
+
+def _info_if(path: Path, cycles: int) -> Any:
+    found = info(path) if path.exists() and path.stat().st_size > 5000 else None
+    return found if found and found.replayable >= cycles else None
+
+
+def test_gap_is_counted_told_and_replayable_again_after_it(tmp_path: Path) -> None:
+    with FakeRig(tmp_path, ring_bytes=64 * 4096) as rig:
+        rig.ready()
+        warnings, batches = rig.subscribe("event/warning/gap"), rig.subscribe("state")
+        until(lambda: len(batches) > 10, "some batches")
+        os.kill(rig.telemetry_pid, signal.SIGSTOP)
+        reader_words = RingWriterView(rig.ring)
+        until(lambda: reader_words.dropped() > 50, "drops")
+        os.kill(rig.telemetry_pid, signal.SIGCONT)
+        reader_words.close()
+        until(lambda: warnings, "the gap event")
+        at = len(batches)
+        until(lambda: len(batches) > at + 20, "more batches")
+        os.kill(rig.controller.pid, signal.SIGINT)
+        facts = rig.end()
+    assert facts["lost"] == facts["dropped"] > 50
+    assert facts["published"] + facts["lost"] >= facts["cycles"]  # a checkpoint may be among the lost
+    items = list(Recording(rig.recording).items())
+    gaps = [item for item in items if isinstance(item, Gap)]
+    assert sum(gap.lost for gap in gaps) == facts["lost"]
+    cycles = [int(np.frombuffer(item.snapshot, SNAPSHOT)["cycle"][0]) for item in items if isinstance(item, Cycle)]
+    assert len(cycles) == facts["recorded"] == facts["published"]
+    after = items[items.index(gaps[-1]) :]
+    resumed = next(i for i, item in enumerate(after) if isinstance(item, Checkpoint))
+    next_cycle = next(item for item in after[resumed:] if isinstance(item, Cycle))
+    assert after[resumed].state == made_up_checkpoint(int(np.frombuffer(next_cycle.snapshot, SNAPSHOT)["cycle"][0]))
+    replayable = [item for item in Recording(rig.recording).replayable() if isinstance(item, Cycle)]
+    assert 0 < len(replayable) < len(cycles)
+
+
+class RingWriterView:
+    """Looks at the drop counter of a ring that others use."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("rb")
+
+    def dropped(self) -> int:
+        self._file.seek(17 * 8)
+        return int.from_bytes(self._file.read(8), "little")
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def test_full_disk_ends_the_recording_not_the_telemetry(tmp_path: Path) -> None:
+    with FakeRig(tmp_path) as rig:
+        rig.ready()
+        errors, batches = rig.subscribe("event/error/recording"), rig.subscribe("state")
+        resource.prlimit(rig.telemetry_pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
+        until(lambda: errors, "the error event")
+        assert "recording.mcap" in json.loads(errors[0].payload.to_bytes())["text"]
+        at = len(batches)
+        until(lambda: len(batches) > at + 20, "more batches")
+        os.kill(rig.controller.pid, signal.SIGINT)
+        assert rig.end()["code"] == 0
+    assert "File too large" in rig.result()["recording_error"]
+    found = info(rig.recording)
+    assert not found.complete and found.cycles > 10
+
+
+def test_rotation_opens_each_file_with_a_checkpoint(tmp_path: Path) -> None:
+    with FakeRig(
+        tmp_path, setup={"rotate_bytes": 100_000, "rig_toml": "name = 'fake'", "rig_dbc": 'VERSION ""'}
+    ) as rig:
+        rig.ready()
+        until(lambda: len(list(tmp_path.glob("*.mcap"))) >= 4, "four files")
+        os.kill(rig.controller.pid, signal.SIGINT)
+        facts = rig.end()
+    files = [Path(name) for name in rig.result()["recording"]]
+    assert [file.name for file in files[:2]] == ["recording.mcap", "recording-001.mcap"]
+    cycle = 0
+    for file in files:
+        recording = Recording(file)
+        assert recording.attachments == {"rig.toml": b"name = 'fake'", "rig.dbc": b'VERSION ""'}
+        items = list(recording.replayable())
+        assert items[0] == Checkpoint(made_up_checkpoint(cycle))
+        for item in items[1:]:
+            if isinstance(item, Cycle):
+                assert item == Cycle(made_up(cycle).tobytes(), made_up_inputs(cycle))
+                cycle += 1
+        assert recording.complete
+    assert cycle == facts["recorded"] == facts["cycles"]
+
+
+def test_what_cannot_start_says_why_in_one_line(tmp_path: Path) -> None:
+    hub, endpoint = open_hub("tcp/127.0.0.1:0")
+    writer = RingWriter(directory=tmp_path)
+    ring = str(writer.file.path)
+    existing = tmp_path / "there.mcap"
+    existing.write_bytes(b"")
+    cases: list[tuple[dict[str, Any], str]] = [
+        ({"ring": ring, "listen": endpoint}, f"{endpoint}: the port is in use"),
+        ({"ring": ring, "listen": "tcp/127.0.0.1"}, "tcp/127.0.0.1: not an endpoint"),
+        ({"ring": str(tmp_path / "no.ring")}, "no.ring: No such file"),
+        ({"ring": ring, "recording": str(tmp_path / "absent" / "r.mcap")}, "absent/r.mcap: No such file"),
+        ({"ring": ring, "recording": str(existing)}, "there.mcap exists"),
+        ({"ring": ring, "connect": ("tcp/127.0.0.1:1",)}, "cannot connect to tcp/127.0.0.1:1: nobody listens"),
+    ]
+    for fields, expected in cases:
+        process = start_alone(tmp_path, **fields)
+        _, err = process.communicate(timeout=20)
+        assert process.returncode == 2, fields
+        assert expected in err and err.count("\n") == 1
+        assert not writer.reader_alive
+    (tmp_path / "alone.json").write_text('{"ring": "x", "rig": "y", "speed": 3}')
+    process = subprocess.run(
+        [sys.executable, "-m", "servohil.hil.telemetry", str(tmp_path / "alone.json")],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.returncode == 2 and "alone.json" in process.stderr and "speed" in process.stderr
+    hub.close()
+    writer.close()
+
+
+def test_stop_flag_and_waiting_for_a_subscriber_that_never_comes(tmp_path: Path) -> None:
+    writer = RingWriter(directory=tmp_path)
+    telemetry = start_alone(tmp_path, ring=str(writer.file.path), wait_for_subscriber_s=60.0)
+    until(lambda: writer.file.endpoint, "the session")
+    assert not writer.ready
+    writer.ask_stop()
+    assert telemetry.wait(2) == 0
+    assert telemetry.stderr
+    telemetry.stderr.close()
+    writer.close()
+
+
+def test_a_client_of_a_router_instead_of_a_hub(tmp_path: Path) -> None:
+    router, endpoint = open_hub("tcp/127.0.0.1:0")
+    with FakeRig(tmp_path, setup={"connect": [endpoint]}) as rig:
+        received: list[zenoh.Sample] = []
+        subscriber = router.declare_subscriber(f"{ROOT}/state", received.append)
+        until(lambda: len(received) > 5, "batches at the router")
+        del subscriber
+    router.close()
+
+
+def test_several_sessions_get_ports_of_their_own() -> None:
+    sessions = [open_hub("tcp/127.0.0.1:0") for _ in range(3)]
+    assert len({endpoint for _, endpoint in sessions}) == 3
+    with pytest.raises(TelemetryError, match=sessions[0][1]):
+        open_hub(sessions[0][1])
+    for session, _ in sessions:
+        session.close()
