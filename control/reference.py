@@ -123,15 +123,21 @@ def _check_speed(vector: Vector, profile_speed_mps: float, limits_m: tuple[float
 
     The speed is affine in the start position, so its greatest magnitude lies at one of the two ends.
     """
-    fastest, where = profile_speed_mps, "profile"
+    if profile_speed_mps > speed_max_mps:
+        raise ProfileError(
+            f"reference profile reaches {profile_speed_mps:.6g} m/s: allowed up to {speed_max_mps:g} m/s"
+        )
     out = np.empty(4)
     for start_m in limits_m:
+        fastest = 0.0
         for t_s in np.linspace(0.0, vector[BLEND], BLEND_SAMPLES):
             evaluate(vector, t_s, start_m, out)
-            if abs(out[1]) > fastest:
-                fastest, where = abs(float(out[1])), f"blend_s = {vector[BLEND]:g} s from {start_m:g} m"
-    if fastest > speed_max_mps:
-        raise ProfileError(f"reference {where} reaches {fastest:.6g} m/s: allowed up to {speed_max_mps:g} m/s")
+            fastest = max(fastest, abs(float(out[1])))
+        if fastest > speed_max_mps:
+            raise ProfileError(
+                f"reference blend_s = {vector[BLEND]:g} s reaches {fastest:.6g} m/s when entered from {start_m:g} m: "
+                f"allowed up to {speed_max_mps:g} m/s"
+            )
 
 
 @dataclass(frozen=True)

@@ -138,6 +138,11 @@ class Codec:
             raise DbcError(f'{self.source}: no signal "{path}" in use; there is {", ".join(self._slots)}')
         return self._slots[path]
 
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """ "Message.signal" of every slot, in order."""
+        return tuple(self._slots)
+
     def slots(self, message_index: int) -> range:
         """The slots of one message, in the order `encode` takes its values."""
         first, count = self._messages[message_index, [kernels.FIRST_SLOT, kernels.SLOTS]]
@@ -169,9 +174,8 @@ class Codec:
         )
         if refused >= 0:
             slot = self.slots(message_index)[refused]
-            path = next(path for path, s in self._slots.items() if s == slot)
             raise ValueError(
-                f"{path} = {values[refused]}: cannot be sent, allowed is "
+                f"{self.paths[slot]} = {values[refused]}: cannot be sent, allowed is "
                 f"{self.minimum[slot]:g} to {self.maximum[slot]:g}"
             )
         return self._out.tobytes()[: self.messages[message_index].length]

@@ -1,11 +1,12 @@
 """Read a DBC file into flat, checked tables. cantools is needed here, at load time, and nowhere else.
 
-cantools accepts a good deal silently (a file cut off at the top gives a database with no messages, a second message
-with the same id replaces the first), so everything that the loop relies on is checked here, with a message that names
-file, message, signal, value, and what is allowed.
+cantools accepts a good deal silently (a file cut off at the top gives a database with no messages, a signal it cannot
+parse is left out, a second message with the same id replaces the first), so everything that the loop relies on is
+checked here, with a message that names file, message, signal, value, and what is allowed.
 """
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,6 +42,8 @@ SI_FACTORS: Final[Mapping[str, float]] = {
 }
 # Every integer up to 53 bits is exact in float64.
 MAX_SIGNAL_BITS: Final = 53
+# Signals that belong to no message are filed under this name.
+NO_MESSAGE: Final = "VECTOR__INDEPENDENT_SIG_MSG"
 MAX_STANDARD_ID: Final = 0x7FF
 CRC_SIGNAL: Final = "crc"
 COUNTER_SIGNAL: Final = "counter"
@@ -85,6 +88,7 @@ class MessageTable:
 def load_messages(path: Path, protections: Mapping[str, MessageProtection], names: Sequence[str]) -> list[MessageTable]:
     """The messages called `names`, in that order. Raises DbcError, or OSError where the file cannot be read."""
     database = _parse(path)
+    _check_complete(path, database.messages)
     _check_unique(path, database.messages)
     by_name = {message.name: message for message in database.messages}
     tables = []
@@ -113,6 +117,23 @@ def _parse(path: Path) -> Any:
     if not database.messages:
         raise DbcError(f"{path}: no messages in it: empty, cut off, or not a DBC file")
     return database
+
+
+def _check_complete(path: Path, messages: Sequence[Any]) -> None:
+    """Every line of the file that begins a message's signal has become one."""
+    parsed = {(message.name, signal.name) for message in messages for signal in message.signals}
+    message_name = None
+    for number, line in enumerate(path.read_text(encoding="cp1252", errors="replace").splitlines(), start=1):
+        match = re.match(r"\s*(BO_|SG_)\s+(\d+\s+)?(\w+)", line)
+        if match is None:
+            message_name = None
+        elif match[1] == "BO_":
+            message_name = None if match[3] == NO_MESSAGE else match[3]
+        elif message_name is not None and (message_name, match[3]) not in parsed:
+            raise DbcError(
+                f'{path}, line {number}: message "{message_name}", signal "{match[3]}" is incomplete or malformed: '
+                f'"{line.strip()}"; must be NAME : start|length@order sign (scale,offset) [min|max] "unit" receivers'
+            )
 
 
 def _check_unique(path: Path, messages: Sequence[Any]) -> None:

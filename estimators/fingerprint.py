@@ -24,8 +24,11 @@ class NotIdentifiable(Exception):
     """A function refers to something whose value cannot be hashed (an object, a class, a C function pointer)."""
 
 
-def fingerprint(text: str, function: FunctionType) -> str:
-    """Hash of a function with everything it refers to, and of a text. 32 hex digits.
+def fingerprint(text: str, function: FunctionType) -> tuple[str, list[Dispatcher]]:
+    """Hash of a function with everything it refers to, and of a text.
+
+    Returns:
+        32 hex digits, and the compiled functions met on the way, callees before callers.
 
     Raises:
         NotIdentifiable: something the function refers to has no reliable identity.
@@ -33,13 +36,14 @@ def fingerprint(text: str, function: FunctionType) -> str:
     walk = _Walk()
     walk.add(f"{sys.implementation.cache_tag} numba {numba.__version__} numpy {np.__version__} {text}")
     walk.function(function)
-    return walk.digest.hexdigest()[:32]
+    return walk.digest.hexdigest()[:32], walk.dispatchers
 
 
 class _Walk:
     def __init__(self) -> None:
         self.digest = hashlib.sha256()
         self.seen: dict[int, tuple[int, Any]] = {}  # keeps the objects alive, so that ids stay unique
+        self.dispatchers: list[Dispatcher] = []
 
     def add(self, text: str) -> None:
         self.digest.update(f"{len(text)}:{text}".encode())
@@ -61,6 +65,7 @@ class _Walk:
         elif isinstance(value, Dispatcher):
             self.add(f"compiled {sorted(value.targetoptions.items())!r}")
             self.function(value.py_func)
+            self.dispatchers.append(value)
         elif isinstance(value, ModuleType):
             self.module(value, names)
         elif _package(value) in KNOWN_PACKAGES or isinstance(value, BuiltinFunctionType | np.ufunc):

@@ -124,7 +124,7 @@ class Model:
             "DT": self.dt, "SUBSTEPS": self.substeps,
         }  # fmt: skip
         try:
-            return specialise(kernel, f"{signature}  # {len(self.p)} parameters", {**names, **values}, check)
+            return specialise(kernel, signature, {**names, **values}, f"{len(self.p)} parameters", check)
         except NumbaError as error:
             raise ModelError(f"f or h cannot be compiled by numba: {_reason(error)}") from error
 

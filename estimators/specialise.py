@@ -16,6 +16,8 @@ from types import FunctionType
 from typing import Any
 
 import numba
+from numba.core.caching import NullCache
+from numba.core.dispatcher import Dispatcher
 
 from servohil.estimators.fingerprint import NotIdentifiable, fingerprint
 
@@ -23,7 +25,11 @@ _compiled: dict[str, Any] = {}
 
 
 def specialise(
-    kernel: Callable[..., Any], signature: str, values: Mapping[str, Any], check: Callable[[], None] | None = None
+    kernel: Callable[..., Any],
+    signature: str,
+    values: Mapping[str, Any],
+    note: str = "",
+    check: Callable[[], None] | None = None,
 ) -> Any:
     """Compile `kernel` with `values` in place of its global names of the same names.
 
@@ -31,6 +37,7 @@ def specialise(
         kernel: plain module-level function of this library.
         signature: numba signature, e.g. "void(f8[::1])".
         values: what the names stand for: compiled functions, numbers.
+        note: what else the passed check depends on.
         check: called first unless an earlier compilation, here or in another process, has passed it; may raise.
 
     Returns:
@@ -38,8 +45,9 @@ def specialise(
     """
     assert isinstance(kernel, FunctionType)
     function = _with_globals(kernel, values, kernel.__code__.co_filename)
+    helpers: list[Dispatcher] = []
     try:
-        key = fingerprint(signature, function)
+        key, helpers = fingerprint(f"{signature} {note}", function)
     except NotIdentifiable:
         key = ""
     if key in _compiled:
@@ -50,13 +58,26 @@ def specialise(
         check()
     if numba.config.DISABLE_JIT:
         return function
-    cache = known or (key != "" and _write(file, f"# {kernel.__module__}.{kernel.__name__} {signature}\n# {key}\n"))
+    if not known:
+        _forget_stale(helpers)
+    cache = known or (key != "" and _write(file, f"# {kernel.__module__}.{kernel.__name__} {signature} {note}\n# {key}\n"))
     if cache:
         function = _with_globals(kernel, values, str(file))
     compiled = numba.njit(signature, cache=cache, nogil=True, error_model="numpy")(function)
     if key:
         _compiled[key] = compiled
     return compiled
+
+
+def _forget_stale(helpers: list[Dispatcher]) -> None:
+    """Compile anew what a user's helpers have in numba's disk cache: they may call what was edited in another file.
+
+    Our own functions live in a cache folder named after all our sources (`servohil._compiled_cache`).
+    """
+    for helper in helpers:
+        ours = helper.py_func.__module__.partition(".")[0] == "servohil"
+        if not ours and not isinstance(helper._cache, NullCache):
+            helper.recompile()
 
 
 def _with_globals(kernel: FunctionType, values: Mapping[str, Any], filename: str) -> FunctionType:

@@ -20,8 +20,9 @@ with zenoh.open(zenoh.Config.from_json5(json.dumps(hub))) as session:
     for file in descriptor_pb2.FileDescriptorSet.FromString(reply.ok.payload.to_bytes()).file:
         pool.Add(file)
     batch_class = message_factory.GetMessageClass(pool.FindMessageTypeByName("servohil.v1.StateBatch"))
+    subscriber = session.declare_subscriber(f"servohil/v1/{arguments.rig}/state")
     seen = 0
-    for message in session.declare_subscriber(f"servohil/v1/{arguments.rig}/state"):
+    for message in subscriber:
         for s in batch_class.FromString(message.payload.to_bytes()).samples:
             print(f"{s.cycle:8d} {s.position_m:9.6f} m {s.est_velocity_mps:9.5f} m/s {s.command_v:7.3f} V", flush=True)
             seen += 1

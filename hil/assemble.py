@@ -1,4 +1,6 @@
-"""From a rig's configuration to the parts of its cycle: codec, filter, law, monitor. Everything compiled happens here."""
+"""From a rig's configuration to the parts of its cycle: codec, filter, law, monitor. Everything compiled happens
+here.
+"""
 
 from collections.abc import Sequence
 from typing import Final

@@ -1,4 +1,4 @@
-"""What an operator can ask of the controller, as small integers: they cross the command ring and stand in recordings."""
+"""What an operator can ask of the controller, as small integers: they cross a ring and stand in recordings."""
 
 from enum import IntEnum
 

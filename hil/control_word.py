@@ -1,7 +1,7 @@
 """CiA 408 device control and status words: four bits each, as the bus carries them.
 
-Control word: D (device enabled), H (hold enabled), M (mode active), R (reset of a fault). The status word shows the state
-by the same letters; the table is the profile's (states FAULT_* have no R).
+Control word: D (device enabled), H (hold enabled), M (mode active), R (reset of a fault). The status word shows the
+state by the same letters; the table is the profile's (states FAULT_* have no R).
 """
 
 from typing import Final

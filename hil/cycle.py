@@ -15,7 +15,7 @@ from servohil.control.reference import evaluate
 from servohil.drivers.codec import Kind
 from servohil.estimators import SRUKF
 from servohil.estimators.health import DIVERGED, GATED, NOT_FINITE_INPUT, REPAIRED
-from servohil.estimators.leakage.residual_monitor import ResidualMonitor
+from servohil.estimators.leakage import residual_monitor
 from servohil.estimators.models import cylinder
 from servohil.hil import assemble, events, parameters
 from servohil.hil.arena import Arena
@@ -54,7 +54,8 @@ class Cycle:
 
     Args:
         rig: the configuration.
-        listen_only: shadow mode: the command message is received instead of sent, and is what the filter takes as input.
+        listen_only: shadow mode: the command message is received instead of sent, and is what the filter takes as
+        input.
 
     Raises:
         DbcError, GainError, ReferenceError, ValueError: what of the configuration cannot work, named.
@@ -63,6 +64,8 @@ class Cycle:
     def __init__(self, rig: Rig, listen_only: bool = False) -> None:
         self.rig = rig
         self.listen_only = listen_only
+        self.period_ns = rig.loop.period_ns
+        self.dt = self.period_ns / NS_PER_S
         command = assemble.command_message(rig)
         sensors = assemble.sensor_messages(rig)
         self.codec = assemble.load_bus_codec(
@@ -75,7 +78,7 @@ class Cycle:
                 "profile": profile.size,
                 "codec": codec_f8,
                 "filter": SRUKF.arena_size(cylinder.N_STATES, cylinder.N_OUTPUTS),
-                "monitor": ResidualMonitor.ARENA_SIZE,
+                "monitor": residual_monitor.ARENA_SIZE,
                 "law": intsmc.INTSMC_STATE_SIZE,
                 "parameters": parameters.N_PARAMETERS,
                 "numbers": N_NUMBERS,
@@ -99,11 +102,9 @@ class Cycle:
         self._tunables[: len(self.parameters)] = [entry.value for entry in self.parameters]
         self._apply_parameters()
         self._plant_vector = rig.cylinder.parameters().vector()
-        self.period_ns = rig.loop.period_ns
-        self.dt = self.period_ns / NS_PER_S
         self._record = np.zeros(1, dtype=SNAPSHOT)
         self.snapshot: Any = self._record[0]
-        self.snapshot_bytes = memoryview(self._record.view(np.uint8))
+        self.snapshot_bytes: memoryview = self._record.view(np.uint8).data
         n_integers = sum(kind == "<i8" for _, kind, _, _ in FIELDS)
         self._snapshot_i8 = self._record.view(np.int64)[:n_integers]
         self._snapshot_f8 = self._record.view(np.float64)[n_integers:]
@@ -178,7 +179,7 @@ class Cycle:
         return float(self._numbers[COMMAND_V])
 
     def _estimate(self, complete: bool, skipped: int) -> int:
-        """Predict over the past interval (and over skipped ones), correct with what came; returns the filter's status."""
+        """Predict over the past interval and the skipped ones, correct with what came; returns the filter's status."""
         words, sensing = self._words, self._sensing
         y, u = sensing.y, sensing.u
         if skipped > LONGEST_PREDICTION:
@@ -215,7 +216,8 @@ class Cycle:
         """Bring everything that is derived from the tunables in line with them; also after a restored checkpoint."""
         values = self._tunables
         limits = self.rig.limits
-        self.monitor.set_thresholds(values[parameters.THRESHOLD_SIGMA], values[parameters.CUSUM_THRESHOLD])
+        self.monitor.arena[residual_monitor.THRESHOLD_SIGMA] = values[parameters.THRESHOLD_SIGMA]
+        self.monitor.arena[residual_monitor.CUSUM_THRESHOLD] = values[parameters.CUSUM_THRESHOLD]
         self._gains[intsmc.SWITCHING] = values[parameters.SWITCHING_GAIN]
         self._limits = gate_limits(
             float(values[parameters.COMMAND_MAX]), limits.command_slew_v_per_s, limits.ramp_down_s, self.dt
@@ -245,8 +247,14 @@ class Cycle:
         """Run the leak monitor on this cycle's residuals; returns whether its alarm stands."""
         words, monitor = self._words, self.monitor
         moving = device == ACTIVE or (self.listen_only and bool(words[STARTED]))
-        self._residuals_of_filter()
-        alarm = monitor.step(self._residuals, self._variances, moving and complete and not skipped)
+        residuals, variances = self._residuals, self._variances
+        residuals[:] = nan
+        if complete and not skipped:
+            residuals[:] = self.filter.innovation[1:]
+            variances[:] = np.diagonal(self.filter.S)[1:]
+            residuals *= PA_PER_MPA
+            variances *= PA_PER_MPA * PA_PER_MPA
+        alarm = monitor.step(residuals, variances, moving)
         if alarm and words[LEAK_SINCE] < 0:
             words[LEAK_SINCE] = t_ns
         return bool(alarm)
@@ -310,7 +318,7 @@ class Cycle:
         self._snapshot_i8[:] = (
             cycle, header["t_ns"], active_t_ns, words[DEVICE], found, words[FAULT], header["skipped"], words[OVERRUNS],
             header["lateness_ns"], header["exec_ns"], header["n_frames"], words[REJECTED], header["tx_failed"],
-            status, words[REPAIRS], monitor.alarm, monitor.channel, words[LEAK_SINCE],
+            status, words[REPAIRS], monitor.alarm, monitor.channels, words[LEAK_SINCE],
             words[COMMAND_SEQ], words[COMMAND_RESULT], words[PARAM_VERSION],
         )  # fmt: skip
         x, reference = filter_.x * TO_SI, self._reference

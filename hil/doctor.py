@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
+from servohil.drivers.can_network import MULTICAST_ROUTE_COMMAND, bring_up_command
 from servohil.hil.doctor_probes import CONTROLLER_ADDRESS_SPACE_BYTES, Machine, Needs, probe
 
 if TYPE_CHECKING:
@@ -18,7 +19,6 @@ REALTIME_LIMITS: Final = (
     "printf '@servohil - rtprio 90\\n@servohil - memlock unlimited\\n' | sudo tee /etc/security/limits.d/servohil.conf"
     " && sudo groupadd -f servohil && sudo usermod -aG servohil $USER  # then log in again"
 )
-MULTICAST_ROUTE: Final = "sudo ip route add 239.0.0.0/8 dev lo"
 
 
 @dataclass(frozen=True)
@@ -66,10 +66,11 @@ def _software(machine: Machine) -> list[Check]:
 
 
 def _channel_fix(channel: str, state: str) -> str:
-    up = f"sudo ip link set {channel} up"
-    if channel.startswith("vcan"):
-        return up if state == "down" else f"sudo modprobe vcan && sudo ip link add dev {channel} type vcan && {up}"
-    return f"sudo ip link set {channel} up type can bitrate 1000000"
+    if state == "not CAN":
+        return "set bus.channel to a CAN interface: ip -brief link"
+    if not channel.startswith("vcan"):
+        return bring_up_command(channel)
+    return f"sudo ip link set up {channel}" if state == "down" else f"sudo modprobe vcan && {bring_up_command(channel)}"
 
 
 def _bus(machine: Machine, needs: Needs) -> list[Check]:
@@ -96,10 +97,10 @@ def _bus(machine: Machine, needs: Needs) -> list[Check]:
     if machine.multicast_error is None:
         checks.append(Check("multicast route", "ok", "239.0.0.0/8 is routed"))
     elif needs.interface == "udp_multicast":
-        checks.append(Check("multicast route", "fail", machine.multicast_error, MULTICAST_ROUTE))
+        checks.append(Check("multicast route", "fail", machine.multicast_error, MULTICAST_ROUTE_COMMAND))
     else:
         reason = f"{machine.multicast_error}; only interface 'udp_multicast' needs it"
-        checks.append(Check("multicast route", "warn", reason, MULTICAST_ROUTE))
+        checks.append(Check("multicast route", "warn", reason, MULTICAST_ROUTE_COMMAND))
     return checks
 
 

@@ -12,6 +12,7 @@ import platform
 import resource
 import shutil
 import socket
+import struct
 import subprocess
 import sys
 import tempfile
@@ -25,7 +26,7 @@ from packaging.requirements import Requirement
 DISTRIBUTION: Final = "servohil"
 IFF_UP: Final = 0x1
 ARPHRD_CAN: Final = "280"
-MULTICAST_TEST_ADDRESS: Final = ("239.74.163.2", 43113)  # python-can's default group for udp_multicast
+MULTICAST_GROUP: Final = "239.74.163.2"  # python-can's default for udp_multicast
 CHILD_TIMEOUT_S: Final = 20.0
 # Runs in a bare interpreter. The anonymous mapping stands for the controller's address space; MCL_ONFAULT (4) lets the
 # kernel check it against RLIMIT_MEMLOCK without filling it.
@@ -123,11 +124,13 @@ def channel_state(channel: str, class_net: Path = Path("/sys/class/net")) -> str
     return "up" if int((folder / "flags").read_text(), 16) & IFF_UP else "down"
 
 
-def multicast_error() -> str | None:
-    """Ask the routing table for a way to the multicast group; connecting a datagram socket sends nothing."""
+def multicast_error(group: str = MULTICAST_GROUP) -> str | None:
+    """Join the multicast group and ask the routing table for a way to it; a datagram connect sends nothing."""
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.connect(MULTICAST_TEST_ADDRESS)
+            membership = socket.inet_aton(group) + struct.pack("@I", socket.INADDR_ANY)
+            probe.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+            probe.connect((group, 9))
     except OSError as error:
         return _why(error)
     return None
@@ -240,7 +243,7 @@ def probe(needs: Needs) -> Machine:
         asammdf_importable=importlib.util.find_spec("asammdf") is not None,
         can_socket_error=can_socket_error(),
         channel_state=channel_state(needs.channel),
-        multicast_error=multicast_error(),
+        multicast_error=multicast_error(needs.channel if needs.interface == "udp_multicast" else MULTICAST_GROUP),
         local_bus_error=local_bus_error(),
         fifo_error=fifo,
         mlockall_error=mlockall,

@@ -1,4 +1,6 @@
-"""A child process that must not outlive the program which started it asks the kernel for a signal at its parent's end."""
+"""A child process that must not outlive the program which started it asks the kernel for a signal at its parent's
+end.
+"""
 
 import ctypes
 import os

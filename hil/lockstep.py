@@ -4,7 +4,7 @@ Frames are encoded, protected, quantised and decoded as on a real bus, through t
 speaks first and the controller answers; its command reaches the valve one cycle later. Timing inputs are zero.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -20,7 +20,7 @@ from servohil.hil.operator_script import OperatorScript
 class Actuator(Protocol):
     """What the shell needs of a simulated node."""
 
-    def step(self, frames: NDArray[np.void], n_frames: int, t_ns: int, periods: int) -> list[tuple[int, bytes]]:
+    def step(self, frames: NDArray[np.void], n_frames: int, t_ns: int, periods: int) -> Sequence[tuple[int, bytes]]:
         """Advance, measure, take commands; the frames to send."""
         ...
 
@@ -29,7 +29,9 @@ Sink = Callable[[memoryview, memoryview], None]
 
 
 def run_lockstep(cycle: Cycle, node: Actuator, script: OperatorScript, sink: Sink) -> int:
-    """Run until the script is finished; `sink(snapshot, inputs)` gets the bytes of every cycle. Returns the cycle count."""
+    """Run until the script is finished; `sink(snapshot, inputs)` gets the bytes of every cycle. Returns the cycle
+    count.
+    """
     ours, theirs, bus = in_process_bus(cycle.codec.receive_ids, (cycle.command_id,))
     inputs = InputsBuffer()
     header, frames = inputs.header, inputs.frames

@@ -1,13 +1,11 @@
-"""The realtime shell: deadlines and sockets around the pure cycle. One thread; it never logs, waits for a reader, or allocates
-anything that grows."""
+"""The realtime shell: deadlines and sockets around the pure cycle. One thread; it never logs, waits for a reader, or
+allocates anything that grows."""
 
 import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
-
-import numpy as np
+from typing import Any, Final
 
 from servohil.drivers.port import Port
 from servohil.hil.commands import Command
@@ -127,7 +125,7 @@ class RealtimeLoop:
             executed += 1
         return LoopResult.of(cycle, executed, ring.dropped, telemetry_died)
 
-    def _take_command(self, header: np.void, snapshot: np.void) -> None:
+    def _take_command(self, header: Any, snapshot: Any) -> None:
         """The script's command first, then an operator's; one per cycle, so that each gets its own answer."""
         code = self._script.next(int(snapshot["state"]), int(snapshot["active_t_ns"]))
         header["command_seq"] = 0

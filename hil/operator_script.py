@@ -42,7 +42,9 @@ class OperatorScript:
         self._stopping = True
 
     def next(self, state: int, active_t_ns: int) -> Command:
-        """The command for the coming cycle, from the device state and the time since the first ACTIVE cycle (-1 before)."""
+        """The command for the coming cycle, from the device state and the time since the first ACTIVE cycle (-1
+        before).
+        """
         if self._closing:
             self._closing += 1
             self.finished = self._closing > CLOSING_CYCLES

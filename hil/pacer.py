@@ -1,7 +1,7 @@
 """Absolute deadlines on a fixed grid of the monotonic clock; an overrun skips whole periods and keeps the phase.
 
-Deadlines lie at (k + phase) * period since the clock's own zero, so that two loops of the same period on one machine keep
-the distance of their phases whatever the order in which they were started.
+Deadlines lie at (k + phase) * period since the clock's own zero, so that two loops of the same period on one machine
+keep the distance of their phases whatever the order in which they were started.
 """
 
 import time

@@ -1,7 +1,8 @@
-"""Parameters that an operator may change while the loop runs: name, unit, bounds, and how a set of them must fit together.
+"""Parameters that an operator may change while the loop runs: name, unit, bounds, and how a set of them must fit
+together.
 
-A change is applied at a cycle edge. Reference parameters act from the next entry into ACTIVE: a profile that changes under
-a moving piston would jump.
+A change is applied at a cycle edge. Reference parameters act from the next entry into ACTIVE: a profile that changes
+under a moving piston would jump.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,6 @@
-"""The replay shell: inputs from a recording through the same cycle; every recorded Snapshot must come out bit for bit."""
+"""The replay shell: inputs from a recording through the same cycle; every recorded Snapshot must come out bit for
+bit.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -26,7 +28,9 @@ class ReplayResult:
 
 
 def replay_cycles(cycle: Cycle, records: Iterable[tuple[bytes, bytes]], result: ReplayResult) -> None:
-    """Feed recorded (snapshot, inputs) pairs to `cycle`, already at the state before the first; counts into `result`."""
+    """Feed recorded (snapshot, inputs) pairs to `cycle`, already at the state before the first; counts into
+    `result`.
+    """
     for snapshot, payload in records:
         inputs = parse(payload)
         cycle.step(inputs.header, inputs.frames)

@@ -128,7 +128,14 @@ class RingWriter:
         return True
 
     def write_checkpoint(self, state: Part) -> bool:
-        """Append a CHECKPOINT; one that was asked for counts as delivered only if it found room."""
+        """Append a CHECKPOINT; one that was asked for counts as delivered only if it found room.
+
+        Raises RingError for a state that does not even fit into the empty ring: see `capacity_for`.
+        """
+        if 2 * (len(state) + HEADER + ALIGN) > self._capacity:
+            raise RingError(
+                f"checkpoint of {len(state)} bytes: a ring of {self._capacity} bytes takes records of half its size"
+            )
         wanted = self._words[W_CHECKPOINT_WANTED]
         done = self.write(Kind.CHECKPOINT, state)
         if done:

@@ -86,7 +86,6 @@ def dry_run(cycle: Cycle) -> None:
         inputs.header["cycle"] = number
         inputs.header["t_ns"] = number * cycle.period_ns
         cycle.step(inputs.header, inputs.frames)
-    cycle.warm_up()
     cycle.restore(before)
 
 
@@ -114,7 +113,9 @@ def run_controller(rig: Rig, options: RunOptions, say: Say) -> RunSummary:
         _stop_on_signals(script)
         ring = RingWriter(capacity_for(RING_S, rig.loop.rate_hz, checkpoint_bytes=len(cycle.arena.save())))
         stack.callback(ring.close)
-        child = TelemetryChild(telemetry_setup(cycle, ring, options.folder, options.wait_for_subscriber_s), ring, options.folder)
+        child = TelemetryChild(
+            telemetry_setup(cycle, ring, options.folder, options.wait_for_subscriber_s), ring, options.folder
+        )
         endpoint = child.wait_ready()
         say(f"telemetry: {endpoint}, process {child.pid}")
         discard_old_frames(port)

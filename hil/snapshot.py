@@ -1,7 +1,7 @@
 """The Snapshot: everything one cycle saw, concluded and sent, as one fixed record of 8-byte fields.
 
-Deterministic in the cycle's state and inputs; copied byte for byte into the ring, the recording and, field by field, into
-the Protobuf `State` message. NaN in a measured field means: no valid frame brought this signal in this cycle.
+Deterministic in the cycle's state and inputs; copied byte for byte into the ring, the recording and, field by field,
+into the Protobuf `State` message. NaN in a measured field means: no valid frame brought this signal in this cycle.
 """
 
 from typing import Final

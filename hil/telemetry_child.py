@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any, Final
@@ -10,7 +11,6 @@ from servohil.hil.cycle import Cycle
 from servohil.hil.gate import Event
 from servohil.hil.provenance import provenance
 from servohil.hil.ring import Kind, RingWriter
-from servohil.hil.telemetry.launch import start_telemetry, wait_ready
 from servohil.hil.telemetry.setup import Parameter, TelemetryError, TelemetrySetup
 
 READY_TIMEOUT_S: Final = 30.0
@@ -26,7 +26,10 @@ RECORDING_FILE: Final = "recording.mcap"
 def telemetry_setup(cycle: Cycle, ring: RingWriter, folder: Path, wait_for_subscriber_s: float) -> TelemetrySetup:
     """What the telemetry process of this controller is told."""
     rig = cycle.rig
-    facts = {name: str(value) for name, value in provenance(config_hash=rig.config_hash(), seed=rig.plant.seed if rig.plant else None).items()}
+    facts = {
+        name: str(value)
+        for name, value in provenance(config_hash=rig.config_hash(), seed=rig.plant.seed if rig.plant else None).items()
+    }
     return TelemetrySetup(
         ring=str(ring.file.path),
         rig=rig.name,
@@ -54,7 +57,13 @@ class TelemetryChild:
         """Starts the process; `wait_ready` before the loop begins."""
         self._ring = ring
         self._result_path = folder / RESULT_FILE
-        self._process = start_telemetry(setup, folder / SETUP_FILE)
+        setup.save(folder / SETUP_FILE)
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "servohil.hil.telemetry", str(folder / SETUP_FILE)],
+            stdin=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
 
     @property
     def pid(self) -> int:
@@ -63,12 +72,17 @@ class TelemetryChild:
 
     def wait_ready(self) -> str:
         """Wait for the handshake; returns the Zenoh endpoint. Raises TelemetryError with the process's own words."""
-        try:
-            wait_ready(self._ring, self._process, READY_TIMEOUT_S)
-        except TelemetryError:
-            self._process.kill()
-            self._process.wait()
-            raise
+        deadline = time.monotonic() + READY_TIMEOUT_S
+        while not self._ring.ready:
+            if not self.alive():
+                words = self._process.stderr.read().strip() if self._process.stderr else ""
+                raise TelemetryError(
+                    words or f"telemetry ended with code {self._process.returncode} before it was ready"
+                )
+            if time.monotonic() > deadline:
+                self.kill()
+                raise TelemetryError(f"telemetry was not ready within {READY_TIMEOUT_S:g} s")
+            time.sleep(POLL_S)
         return str(self._ring.file.endpoint)
 
     def alive(self) -> bool:

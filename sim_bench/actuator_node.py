@@ -1,17 +1,18 @@
 """The simulated actuator node: cylinder, sensors, leaks and the valve driver's own watchdog, behind CAN frames.
 
-The same class serves the real-time process (`hil rig`) and the lockstep bench. Per step it first moves the plant over the
-elapsed periods with the spool as it stood, then measures and encodes, then reads commands: a command acts from the next
-period on, as over a real bus.
+The same class serves the real-time process (`hil rig`) and the lockstep bench. Per step it first moves the plant over
+the elapsed periods with the spool as it stood, then measures and encodes, then reads commands: a command acts from
+the next period on, as over a real bus.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from servohil.drivers.codec import Codec
 from servohil.hil.assemble import SENSOR_SIGNALS, command_message, load_bus_codec, message_of, sensor_messages
 from servohil.hil.config import Rig
 from servohil.hil.config.hydraulics import Plant
@@ -79,6 +80,24 @@ class TruthLog:
         return np.concatenate((self._rows[cut:], self._rows[:cut]))
 
 
+class _Output(NamedTuple):
+    """One sensor message: where its values are put together, and what the DBC allows for them."""
+
+    number: int
+    can_id: int
+    values: NDArray[np.float64]
+    minimum: NDArray[np.float64]
+    maximum: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, codec: Codec, name: str) -> "_Output":
+        index = codec.message_index(name)
+        slots = codec.slots(index)
+        part = slice(slots.start, slots.stop)
+        can_id = codec.messages[index].frame_id
+        return cls(index, can_id, np.zeros(len(slots)), codec.minimum[part], codec.maximum[part])
+
+
 class ActuatorNode:
     """One cylinder on the bus.
 
@@ -103,10 +122,7 @@ class ActuatorNode:
         self._command_index = self.codec.message_index(command)
         self._command_slot = self.codec.slot(rig.signals.command)
         self._word_slot = self.codec.slot(rig.signals.control_word)
-        self._outputs = [
-            (self.codec.message_index(name), np.zeros(len(self.codec.slots(self.codec.message_index(name)))))
-            for name in sensor_messages(rig)
-        ]
+        self._outputs = [_Output.of(self.codec, name) for name in sensor_messages(rig)]
         # Where each reading goes: (values array of its message, position in it).
         self._places = [self._place(getattr(rig.signals, name)) for name in (*SENSOR_SIGNALS, "status_word")]
         self._timeout_ns = int(settings.command_timeout_s * NS_PER_S)
@@ -117,12 +133,10 @@ class ActuatorNode:
 
     def _place(self, path: str) -> tuple[NDArray[np.float64], int]:
         index = self.codec.message_index(message_of(path))
-        values = next(array for number, array in self._outputs if number == index)
-        return values, list(self.codec.slots(index)).index(self.codec.slot(path))
+        output = next(output for output in self._outputs if output.number == index)
+        return output.values, list(self.codec.slots(index)).index(self.codec.slot(path))
 
-    def step(
-        self, frames: NDArray[np.void], n_frames: int, t_ns: int, periods: int
-    ) -> Sequence[tuple[int, bytes]]:
+    def step(self, frames: NDArray[np.void], n_frames: int, t_ns: int, periods: int) -> Sequence[tuple[int, bytes]]:
         """Advance by `periods`, measure, then take the commands in `frames[:n_frames]`; returns the frames to send."""
         spool = self.spool_v
         for _ in range(periods):
@@ -139,13 +153,11 @@ class ActuatorNode:
         state = DeviceState.ACTIVE if self._driving else DeviceState.DISABLED
         for (values, position), reading in zip(self._places, (*readings, float(status_word(state))), strict=True):
             values[position] = reading
-        outgoing = []
-        for index, values in self._outputs:
-            slots = codec.slots(index)
+        for output in self._outputs:
             # A sensor saturates at the end of its range, it does not fall silent.
-            np.clip(values, codec.minimum[slots.start : slots.stop], codec.maximum[slots.start : slots.stop], out=values)
-            outgoing.append((codec.messages[index].frame_id, codec.encode(index, values)))
-        return outgoing
+            np.minimum(output.values, output.maximum, out=output.values)
+            np.maximum(output.values, output.minimum, out=output.values)
+        return [(output.can_id, codec.encode(output.number, output.values)) for output in self._outputs]
 
     def _take_commands(self, frames: NDArray[np.void], n_frames: int, t_ns: int) -> None:
         codec = self.codec

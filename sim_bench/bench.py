@@ -1,8 +1,8 @@
 """`hil bench`: controller and simulated node for a fixed time, a leak on the way, and a report at the end.
 
 Real time: two child processes on the rig's bus (and the telemetry process that the controller starts), this process
-being the probe that counts samples. Lockstep: controller and node in this process on simulated time; telemetry is the same
-real process behind the same ring.
+being the probe that counts samples. Lockstep: controller and node in this process on simulated time; telemetry is the
+same real process behind the same ring.
 """
 
 import json
@@ -102,7 +102,10 @@ def run_bench(rig: Rig, options: BenchOptions, say: Say, show: Show) -> tuple[di
 def recorded_snapshots(recording: Path) -> NDArray[np.void]:
     """Every Snapshot of a recording and its continuation files, in order."""
     rows = [
-        item.snapshot for path in series(recording) for item in Recording(path).items() if isinstance(item, RecordedCycle)
+        item.snapshot
+        for path in series(recording)
+        for item in Recording(path).items()
+        if isinstance(item, RecordedCycle)
     ]
     return np.frombuffer(b"".join(rows), dtype=SNAPSHOT)
 
@@ -201,7 +204,7 @@ def _lockstep(rig: Rig, options: BenchOptions, say: Say, show: Show) -> BenchLog
         ring.write_checkpoint(cycle.arena.save())
 
         def sink(snapshot: memoryview, inputs: memoryview) -> None:
-            if ring.checkpoint_wanted():
+            if ring.checkpoint_wanted:
                 ring.write_checkpoint(cycle.arena.save())
             # Simulated time can wait for the reader; the realtime shell never does.
             while ring.fill > 0.5 and child.alive():

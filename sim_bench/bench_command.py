@@ -80,7 +80,8 @@ def bench_command(
 ) -> int:
     """Run the bench and write everything it leaves behind; returns the exit code.
 
-    0: it ran to its end and every verdict holds; 4: it ran, a verdict does not hold; otherwise what the controller said.
+    0: it ran to its end and every verdict holds; 4: it ran, a verdict does not hold; otherwise what the controller
+    said.
 
     Raises:
         ConfigError, OSError, ValueError: what keeps it from starting.

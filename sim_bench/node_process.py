@@ -43,7 +43,7 @@ def warm_up(rig: Rig) -> None:
         node.step(frames, 0, k * node.period_ns, 1)
 
 
-def run_node(rig: Rig, port: Port, leak: LeakPlan | None, truth_path: Path | None, log_s: float, ready: Path | None) -> int:
+def run_node(rig: Rig, port: Port, leak: LeakPlan | None, truth_path: Path | None, log_s: float) -> int:
     """Run until SIGTERM or SIGINT, then save the truth log (.npy). Returns the number of steps.
 
     Args:
@@ -52,7 +52,6 @@ def run_node(rig: Rig, port: Port, leak: LeakPlan | None, truth_path: Path | Non
         leak: what to inject.
         truth_path: where the truth goes, or None.
         log_s: how much of it is kept, s.
-        ready: a file to create once the node speaks; None to skip.
     """
     stop = Stop()
     plant_section(rig)
@@ -63,8 +62,6 @@ def run_node(rig: Rig, port: Port, leak: LeakPlan | None, truth_path: Path | Non
     pacer = Pacer(rig.loop.period_ns, NODE_PHASE)
     make_realtime(rig.loop.priority)
     pacer.start()
-    if ready is not None:
-        ready.write_text(f"{os.getpid()}\n")
     steps, periods = 0, 1
     while not stop.asked:
         now = pacer.wait()

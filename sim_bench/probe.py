@@ -40,8 +40,8 @@ class Probe:
     def close(self) -> None:
         """Undeclare and close the session."""
         for subscriber in self._subscribers:
-            subscriber.undeclare()
-        self._session.close()
+            subscriber.undeclare()  # type: ignore[no-untyped-call]
+        self._session.close()  # type: ignore[no-untyped-call]
 
 
 def connect_probe(endpoint: str, rig: str, keep_trying: Any) -> Probe | None:

@@ -1,0 +1,1 @@
+"""Leakage diagnosis on the residuals of an estimator that knows no leak."""

@@ -37,7 +37,7 @@ class Problem(NamedTuple):
         """The mistake as one line, with the value that `raw`, the file's content, has at that place."""
         node: Any = raw
         for part in self.path:
-            inside = isinstance(node, list) or (isinstance(node, Mapping) and part in node)
+            inside = isinstance(part, int) if isinstance(node, list) else isinstance(node, Mapping) and part in node
             if not inside:
                 return f"{file}: {dotted(self.path)}: {self.text}"
             node = node[part]

@@ -5,6 +5,7 @@ Records are framed by their own length, so that a file is good up to its last co
 
 import json
 import struct
+import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -25,6 +26,8 @@ from servohil.hil.telemetry.servohil_pb2 import Checkpoint as CheckpointMessage
 from servohil.hil.telemetry.servohil_pb2 import CycleInputs
 
 _FRAME: Final = struct.Struct("<BQ")
+_CRC: Final = struct.Struct("<I")
+_INDEX: Final = struct.Struct("<HI")
 _READ: Final[dict[int, Any]] = {
     Opcode.HEADER: Header,
     Opcode.SCHEMA: Schema,
@@ -32,6 +35,24 @@ _READ: Final[dict[int, Any]] = {
     Opcode.ATTACHMENT: Attachment,
     Opcode.METADATA: Metadata,
 }
+
+
+def _stream(body: bytes) -> ReadDataStream:
+    return ReadDataStream(BytesIO(body))
+
+
+def _check(opcode: int, body: bytes) -> None:
+    """A flipped bit in what no checksum covers must not make a chunk look like something to pass over."""
+    if opcode == Opcode.ATTACHMENT:
+        good = len(body) > _CRC.size and zlib.crc32(body[: -_CRC.size]) == _CRC.unpack(body[-_CRC.size :])[0]
+    elif opcode == Opcode.MESSAGE_INDEX:
+        good = len(body) >= _INDEX.size and _INDEX.unpack_from(body)[1] == len(body) - _INDEX.size
+    elif opcode == Opcode.DATA_END:
+        good = len(body) == _CRC.size
+    else:
+        good = opcode in _READ
+    if not good:
+        raise ValueError(f"record type {opcode} does not fit its {len(body)} bytes")
 
 
 class Checkpoint(NamedTuple):
@@ -100,7 +121,8 @@ class Recording:
             else:
                 break
         if not self.metadata:
-            raise RecordingError(f"{self.path} breaks off before its description: nothing was recorded")
+            problem = self.problem or f"{self.path} breaks off before its description: nothing was recorded"
+            raise RecordingError(problem)
 
     def records(self) -> Iterator[McapRecord]:
         """Every complete MCAP record up to the index: Header, Schema, Channel, Message, Attachment, Metadata."""
@@ -110,22 +132,19 @@ class Recording:
             at = stream.seek(len(MCAP0_MAGIC))
             while len(head := stream.read(_FRAME.size)) == _FRAME.size:
                 opcode, length = _FRAME.unpack(head)
-                if opcode == Opcode.DATA_END:
-                    self.complete = True
-                    return
                 if at + _FRAME.size + length > size:
-                    return
-                if not opcode:  # a hole that the file system left behind after a power failure
-                    self.problem = f"{self.path} is damaged at byte {at}: zeros instead of records"
                     return
                 body = stream.read(length)
                 try:
                     if opcode == Opcode.CHUNK:
-                        yield from breakup_chunk(Chunk.read(ReadDataStream(BytesIO(body))), validate_crc=True)
-                    elif opcode == Opcode.MESSAGE:
-                        yield Message.read(ReadDataStream(BytesIO(body)), length)
-                    elif opcode in _READ:
-                        yield _READ[opcode].read(ReadDataStream(BytesIO(body)))
+                        yield from breakup_chunk(Chunk.read(_stream(body)), validate_crc=True)
+                    else:
+                        _check(opcode, body)
+                        if opcode == Opcode.DATA_END:
+                            self.complete = True
+                            return
+                        if opcode in _READ:
+                            yield _READ[opcode].read(_stream(body))
                 except (McapError, ZstdError, struct.error, ValueError) as error:
                     self.problem = f"{self.path} is damaged at byte {at}: {str(error) or type(error).__name__}"
                     return

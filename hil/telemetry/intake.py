@@ -12,7 +12,7 @@ from servohil.hil.ring import Kind, RingReader
 from servohil.hil.snapshot import SNAPSHOT
 from servohil.hil.telemetry.encoding import encode_samples
 
-BATCH_RECORDS: Final = 500  # taken at most before publishing: bounds the memory of a backlog
+BATCH_RECORDS: Final = 100  # taken at most before publishing: a backlog goes out in several messages
 _SIZE: Final = SNAPSHOT.itemsize
 
 

@@ -17,7 +17,7 @@ from servohil.hil.telemetry.intake import Intake
 from servohil.hil.telemetry.publisher import JSON, Publisher, to_json
 from servohil.hil.telemetry.queryables import Desk, Documents
 from servohil.hil.telemetry.schema import descriptor_set, meta, proto_text
-from servohil.hil.telemetry.session import open_client, open_hub
+from servohil.hil.telemetry.session import open_client, open_hub, stays_on_this_machine
 from servohil.hil.telemetry.setup import TelemetrySetup
 
 EXIT_DONE: Final = 0
@@ -44,10 +44,14 @@ class Telemetry:
         self.publisher = Publisher(self.session, setup.rig)
         facts = {"servohil": importlib.metadata.version("servohil"), **setup.meta}
         self._meta = to_json(meta(setup.rig, self.endpoint, setup.batch_ns, facts))
-        self.desk = Desk(self.session, self.publisher.root, self.ring.commands, setup.parameters, self._documents)
+        # Anyone who reaches the endpoint may command, so only processes on this machine may reach it.
+        local = all(map(stays_on_this_machine, setup.connect or (self.endpoint,)))
+        root, commands = self.publisher.root, self.ring.commands
+        self.desk = Desk(self.session, root, commands, setup.parameters, self._documents, commands_allowed=local)
         self._changes = ChangeDetector(setup.event_names)
         self._last_row: Any = None
         self._slow_ns = 0
+        self._told_recording_error = False
         self._beat, self._beat_ns, self._stalled = -1, 0, False
 
     def _open_recording(self) -> RecordingWriter | None:
@@ -111,7 +115,7 @@ class Telemetry:
 
     def _pump(self, now_ns: int) -> None:
         """Take one batch from the ring: publish, record, reply."""
-        lost, failed = self.intake.lost, self.intake.recording_error
+        lost = self.intake.lost
         rows, samples = self.intake.take()
         if len(rows):
             t_ns = int(rows["t_ns"][-1])
@@ -124,7 +128,8 @@ class Telemetry:
         if self.intake.lost > lost:
             text = f"{self.intake.lost - lost} cycles found no room in the ring"
             self._event({"severity": "warning", "code": "gap", "lost": self.intake.lost - lost, "text": text})
-        if self.intake.recording_error != failed:
+        if self.intake.recording_error is not None and not self._told_recording_error:
+            self._told_recording_error = True
             text = f"recording ended: {self.intake.recording_error}"
             self._event({"severity": "error", "code": "recording", "text": text})
         self.desk.settle(rows, now_ns)

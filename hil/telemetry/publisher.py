@@ -12,7 +12,6 @@ from servohil.hil.snapshot import FIELDS
 from servohil.hil.telemetry.encoding import encode_batch
 from servohil.hil.telemetry.schema import state_name
 
-MAX_SAMPLES: Final = 100  # per message: after a hiccup the backlog goes out in several
 _STATE_ENCODING: Final = zenoh.Encoding.APPLICATION_PROTOBUF.with_schema("servohil.v1.StateBatch")
 JSON: Final = zenoh.Encoding.APPLICATION_JSON
 
@@ -67,12 +66,10 @@ class Publisher:
         return bool(status.matching)
 
     def state(self, samples: NDArray[np.uint8], t_unix_ns: int, age_ns: int, lost: int) -> None:
-        """Publish rows of `encode_samples`, MAX_SAMPLES per message; time and age are those of the newest."""
-        for begin in range(0, len(samples), MAX_SAMPLES):
-            part = samples[begin : begin + MAX_SAMPLES]
-            self.batches += 1
-            self._state.put(encode_batch(part, self.batches, t_unix_ns, age_ns, lost))
-            self.published += len(part)
+        """Publish rows of `encode_samples` as one message; time and age are those of the newest."""
+        self.batches += 1
+        self._state.put(encode_batch(samples, self.batches, t_unix_ns, age_ns, lost))
+        self.published += len(samples)
 
     def snapshot(self, row: Any) -> None:
         self._snapshot.put(to_json(readable_snapshot(row)))

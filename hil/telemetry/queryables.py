@@ -45,7 +45,10 @@ class _Pending:
 
 
 class Desk:
-    """Answers queries below `root`. `documents()` gives the texts to serve, by absolute key."""
+    """Answers queries below `root`. `documents()` gives the texts to serve, by absolute key.
+
+    Without `commands_allowed` everything can be read and nothing changed.
+    """
 
     def __init__(
         self,
@@ -54,11 +57,13 @@ class Desk:
         commands: CommandWriter,
         parameters: tuple[Parameter, ...],
         documents: Callable[[], Documents],
+        commands_allowed: bool = True,
     ) -> None:
         self._root = root
         self._commands = commands
         self._parameters = {p.name: (i, p) for i, p in enumerate(parameters)}
         self._documents = documents
+        self._commands_allowed = commands_allowed
         self._pending: list[_Pending] = []
         self._queryables = [
             (session.declare_queryable(f"{root}/{keys}", zenoh.handlers.RingChannel(_CHANNEL_SIZE)), answer)
@@ -123,6 +128,9 @@ class Desk:
         return key.removeprefix(prefix) if key.startswith(prefix) and "*" not in key and "$" not in key else None
 
     def _send(self, query: zenoh.Query, now_ns: int, code: Command, parameter: Parameter | None, index: int) -> None:
+        if not self._commands_allowed:
+            _refuse(query, "commands are taken on loopback only: beyond this machine nobody checks who asks")
+            return
         value = parameter.value if parameter else 0.0
         seq = self._commands.send(int(code), index, value, now_ns)
         if not seq:

@@ -6,12 +6,13 @@ from typing import Any, Final
 
 from google.protobuf import descriptor_pb2
 
+from servohil.hil.gate import DeviceState
 from servohil.hil.snapshot import FIELDS, SNAPSHOT_VERSION
 from servohil.hil.telemetry import servohil_pb2
 
 PROTO_PATH: Final = Path(__file__).resolve().parent / "servohil.proto"
-STATE_NAMES: Final = ("INIT", "DISABLED", "HOLD", "ACTIVE", "FAULT_REACTION", "FAULT_HOLD", "FAULT_DISABLED")
-FAULT_STATES: Final = frozenset({4, 5, 6})
+STATE_NAMES: Final = {int(state): state.name for state in DeviceState}
+FAULT_STATES: Final = frozenset({DeviceState.FAULT_REACTION, DeviceState.FAULT_HOLD, DeviceState.FAULT_DISABLED})
 
 
 @cache
@@ -30,7 +31,7 @@ def proto_text() -> str:
 
 def state_name(state: int) -> str:
     """CiA 408 name of a device state."""
-    return STATE_NAMES[state] if 0 <= state < len(STATE_NAMES) else f"UNKNOWN_{state}"
+    return STATE_NAMES.get(state, f"UNKNOWN_{state}")
 
 
 def field_facts() -> dict[str, dict[str, Any]]:
@@ -49,7 +50,7 @@ def meta(rig: str, endpoint: str, batch_ns: int, facts: dict[str, str]) -> dict[
         "endpoint": endpoint,
         "batch_ns": batch_ns,
         "snapshot_version": SNAPSHOT_VERSION,
-        "states": dict(enumerate(STATE_NAMES)),
+        "states": STATE_NAMES,
         "fields": field_facts(),
         **facts,
     }

@@ -1,5 +1,6 @@
 """The Zenoh session: a hub on loopback by default, nothing that finds others by itself, nothing that waits for them."""
 
+import ipaddress
 import json
 import re
 import socket
@@ -63,6 +64,18 @@ def free_endpoint(endpoint: str) -> str:
     with socket.socket() as probe:
         probe.bind((host, 0))
         return f"tcp/{host}:{probe.getsockname()[1]}"
+
+
+def stays_on_this_machine(endpoint: str) -> bool:
+    """Whether only processes on this machine can come in through `endpoint`: loopback address or Unix socket."""
+    protocol, _, address = endpoint.partition("/")
+    if protocol.startswith("unix"):
+        return True
+    host = address.rpartition(":")[0].strip("[]")
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def open_session(settings: dict[str, Any]) -> zenoh.Session:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -63,6 +64,11 @@ def load_setup(path: Path) -> TelemetrySetup:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         content["parameters"] = tuple(Parameter(**entry) for entry in content.get("parameters", ()))
+        for parameter in content["parameters"]:
+            if not parameter.min <= parameter.value <= parameter.max or math.isinf(parameter.max - parameter.min):
+                raise ValueError(
+                    f"parameter {parameter.name} = {parameter.value}: allowed is {parameter.min} to {parameter.max}"
+                )
         content["connect"] = tuple(content.get("connect", ()))
         content["event_names"] = tuple(content.get("event_names", ()))
         return TelemetrySetup(**content)

@@ -46,7 +46,7 @@ def panels(*heights: float) -> "tuple[Figure, list[Axes]]":
         top -= PANEL_IN * weight
         box = (LEFT_IN / WIDTH_IN, top / height, 1 - (LEFT_IN + RIGHT_IN) / WIDTH_IN, PANEL_IN * weight / height)
         axes.append(figure.add_axes(box, sharex=axes[0] if axes else None))
-        axes[-1].yaxis.set_label_coords(-0.052, 0.5)
+        axes[-1].yaxis.set_label_coords(-0.048, 0.5)
         axes[-1].tick_params(labelbottom=len(axes) == len(heights))
         top -= GAP_IN
     return figure, axes
@@ -190,7 +190,7 @@ def pressures(run: RunView) -> PageFigure:
 
 def residuals(run: RunView) -> PageFigure:
     """Residuals of both pressures within their thresholds."""
-    settled = run.t >= SETTLED_S
+    settled = run.active & (run.t >= SETTLED_S)
     figure, axes = panels(1.0, 1.0)
     for panel, side in zip(axes, "ab", strict=True):
         residual = run.rows[f"residual_{side}_pa"] / PA_PER_BAR
@@ -220,18 +220,22 @@ def cusum(run: RunView) -> PageFigure:
     level = float(np.nanmax(run.rows["cusum_threshold"], initial=0.0))
     highest = float(np.nanmax(np.maximum(run.rows["cusum_a"], run.rows["cusum_b"]), initial=0.0))
     top = max(min(1.1 * max(highest, level), 2.5 * level), 1e-9)
-    for panel in axes:
+    after = ZOOM_S
+    if run.injected_s is not None and run.alarm_s is not None:
+        after = max(ZOOM_S, 1.6 * (run.alarm_s - run.injected_s))
+    opened = 0.0 if run.injected_s is None else run.injected_s
+    near = (run.t >= opened - 0.5 * after) & (run.t <= opened + after)
+    for panel, shown in zip(axes, (np.full(len(run.t), True), near), strict=False):
         for side in "ab":
-            values = np.minimum(run.rows[f"cusum_{side}"], 2.0 * top)
-            line(panel, run.t, values, f"side-{side}", f"CUSUM {side.upper()}")
-        line(panel, run.t, run.rows["cusum_threshold"], "limit", "alarm level", "--")
+            values = np.minimum(run.rows[f"cusum_{side}"][shown], 2.0 * top)
+            line(panel, run.t[shown], values, f"side-{side}", f"CUSUM {side.upper()}")
+        line(panel, run.t[shown], run.rows["cusum_threshold"][shown], "limit", "alarm level", "--")
         panel.set_ylim(0.0, top)
     finish(run, [whole], marks=not zoomed)
     whole.set_ylabel("CUSUM, standard\ndeviations")
-    whole.yaxis.set_label_coords(-0.052 * (1 - (LEFT_IN + RIGHT_IN) / WIDTH_IN) / whole.get_position().width, 0.5)
-    if run.injected_s is not None:
-        after = ZOOM_S if run.alarm_s is None else max(ZOOM_S, 1.6 * (run.alarm_s - run.injected_s))
-        axes[1].set_xlim(run.injected_s - 0.5 * after, run.injected_s + after)
+    whole.yaxis.set_label_coords(-0.048 * (1 - (LEFT_IN + RIGHT_IN) / WIDTH_IN) / whole.get_position().width, 0.5)
+    if zoomed:
+        axes[1].set_xlim(opened - 0.5 * after, opened + after)
         axes[1].set_xlabel("the same around the leak, s")
         mark_leak(replace(run, false_alarms_s=()), axes[1])
         for at_s in (*run.false_alarms_s, *(() if run.alarm_s is None else (run.alarm_s,))):

@@ -41,11 +41,13 @@ def _number(value: float | int | None, factor: float = 1.0, digits: int = 3) -> 
 def _tiles(report: Mapping[str, Any]) -> str:
     nmse, rmse = report["estimation"]["nmse_percent"], report["estimation"]["rmse"]
     leak, telemetry = report["leak"], report["telemetry"]
+    sound_m = report["tracking"]["rmse_before_leak_m"]
+    before = "" if sound_m is None else f"{_number(sound_m, 1e3)} mm before the leak"
     tiles = [
-        ("tracking RMSE", _number(report["tracking"]["rmse_m"], 1e3), "mm", ""),
+        ("tracking RMSE", _number(report["tracking"]["rmse_m"], 1e3), "mm", before),
         ("leak opened / detected", f"{_at(leak['injected_at_s'])} / {_at(leak['detected_at_s'])}", "s", ""),
-        ("execution p50 / p99", _both(report["exec_us"]), "µs", ""),
-        ("lateness p50 / p99", _both(report["lateness_us"]), "µs", ""),
+        ("execution p50 / p99", *_both(report["exec_us"])),
+        ("lateness p50 / p99", *_both(report["lateness_us"])),
         ("cycles / overruns", f"{_number(report['cycles'])} / {_number(report['overruns'])}", "", ""),
         ("NMSE position", _number(nmse["position"], digits=2), "%", f"{_number(rmse['position_m'], 1e6)} µm rms"),
         ("NMSE velocity", _number(nmse["velocity"], digits=2), "%", f"{_number(rmse['velocity_mps'], 1e3)} mm/s rms"),
@@ -71,8 +73,9 @@ def _tiles(report: Mapping[str, Any]) -> str:
     return f'<dl class="tiles">{"".join(cells)}</dl>'
 
 
-def _both(figures_us: Mapping[str, float | None]) -> str:
-    return " / ".join("—" if figures_us[key] is None else f"{figures_us[key]:.0f}" for key in ("p50", "p99"))
+def _both(figures_us: Mapping[str, float | None]) -> tuple[str, str, str]:
+    p50, p99 = figures_us["p50"], figures_us["p99"]
+    return ("—", "", "simulated clock") if p50 is None or p99 is None else (f"{p50:.0f} / {p99:.0f}", "µs", "")
 
 
 def _at(value: float | None) -> str:
@@ -116,7 +119,7 @@ def render_page(
         snapshots: (N,) SNAPSHOT, as given to `score`.
         truth: (M,) truth log, as given to `score`.
         loop_start_ns: as given to `score`.
-        title: of the page, for example "Bench run of rig NAME".
+        title: what was run, for example the name of the rig.
         config_text: the rig's TOML file, shown at the end.
         json_name: file name of the report beside the page.
     """
@@ -147,17 +150,17 @@ def render_page(
         ("leak", _leak_text(report["leak"])),
         ("final state", " ".join([report["final_state"], *report["fault"]])),
         ("recording", report["recording"]),
-        *provenance.items(),
+        *((name, value) for name, value in provenance.items() if name != "seed"),
     ]
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{CSS}</style></head><body><main>"
-        f"<header><h1>{escape(title)}</h1>{_headline(report)}"
+        f"<title>Bench run: {escape(title)}</title><style>{CSS}</style></head><body><main>"
+        f"<header><h1>Bench run: {escape(title)}</h1>{_headline(report)}"
         f'<p class="note">{escape(_subtitle(report))} · <a href="{escape(json_name)}">{escape(json_name)}</a></p>'
         "</header>"
         f"{_verdicts(report)}{_tiles(report)}{''.join(map(_figure, drawn))}{loop}"
-        f"<section><h2>Provenance</h2>{_facts(facts)}</section>"
+        f"<section><h2>Run and provenance</h2>{_facts(facts)}</section>"
         f"<section><h2>Configuration</h2><details><summary>The rig's TOML file</summary>"
         f"<pre>{escape(config_text)}</pre></details></section></main></body></html>\n"
     )

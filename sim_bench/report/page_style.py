@@ -30,7 +30,8 @@ a { color: var(--estimated); }
 .mark.good { color: var(--good); }
 .mark.bad { color: var(--limit); }
 table { border-collapse: collapse; width: 100%; }
-.verdicts, figure, section, .tiles > div { background: var(--paper); border: 1px solid var(--grid); border-radius: 8px; }
+.verdicts, figure, section, .tiles > div { background: var(--paper); border: 1px solid var(--grid); }
+.verdicts, figure, section, .tiles > div { border-radius: 8px; }
 .verdicts { border-collapse: separate; border-spacing: 0; overflow: hidden; }
 .verdicts th, .verdicts td { text-align: left; padding: 7px 16px; border-bottom: 1px solid var(--grid); }
 .verdicts tr:last-child td { border-bottom: 0; }
@@ -42,7 +43,8 @@ table { border-collapse: collapse; width: 100%; }
 .tiles dd { margin: 0; font-size: 18px; font-weight: 600; font-variant-numeric: tabular-nums; }
 .tiles small.more { display: block; }
 .tiles small { font-size: 13px; font-weight: 400; color: var(--soft); }
-figure, section { margin: 16px 0 0; padding: 16px 20px; }
+figure, section, main > .note { margin: 16px 0 0; }
+figure, section { padding: 16px 20px; }
 figcaption { color: var(--soft); font-size: 14px; margin-top: 4px; }
 figure svg { display: block; width: 100%; height: auto; }
 figure svg text { font-family: inherit !important; }

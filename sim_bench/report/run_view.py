@@ -22,6 +22,7 @@ class RunView:
         rows: (N,) SNAPSHOT.
         true_t: (M,) s, of the truth log.
         truth: (M,) rows of the truth log.
+        active: (N,) whether the device was ACTIVE.
         judged: (N,) whether the cycle counts in the figures of the report.
         injected_s: when the leak opened, or None.
         alarm_s: when the alarm came that detected it, or None.
@@ -33,6 +34,7 @@ class RunView:
     rows: NDArray[np.void]
     true_t: NDArray[np.float64]
     truth: NDArray[np.void]
+    active: NDArray[np.bool_]
     judged: NDArray[np.bool_]
     injected_s: float | None
     alarm_s: float | None
@@ -65,6 +67,7 @@ def view(
     true_shown = (true_t >= -SHOWN_BEFORE_S) & (true_t <= t[-1])
     from_s = float(report["tracking"]["from_s"])
     rows = snapshots[shown]
+    active = rows["state"] == DeviceState.ACTIVE
     detected_s = report["leak"]["detected_at_s"]
     alarms = [(int(at_ns) - zero_ns) / 1e9 for at_ns in alarm_times_ns(snapshots)]
     return RunView(
@@ -72,7 +75,8 @@ def view(
         rows=rows,
         true_t=true_t[true_shown],
         truth=truth[true_shown],
-        judged=(rows["state"] == DeviceState.ACTIVE) & (rows["active_t_ns"] >= round(from_s * 1e9)),
+        active=active,
+        judged=active & (rows["active_t_ns"] >= round(from_s * 1e9)),
         injected_s=report["leak"]["injected_at_s"],
         alarm_s=detected_s,
         false_alarms_s=tuple(alarms[: report["leak"]["false_alarms"]]),

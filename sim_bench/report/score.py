@@ -16,6 +16,7 @@ from servohil.sim_bench.report.truth import truth_index
 
 NS_PER_S: Final = 1e9
 US_PER_NS: Final = 1e-3
+ALL: Final = slice(None)
 
 # state of the report: (truth field, snapshot field, suffix of its unit)
 STATES: Final = {
@@ -105,6 +106,12 @@ def rms(values: NDArray[np.float64]) -> float | None:
     return float(np.sqrt(np.mean(values**2)))
 
 
+def _nmse(
+    true: NDArray[np.void], cycle: NDArray[np.void], where: NDArray[np.bool_] | slice = ALL
+) -> dict[str, float | None]:
+    return {state: nmse_percent(true[x][where], cycle[xhat][where]) for state, (x, xhat, _) in STATES.items()}
+
+
 def _largest(values: NDArray[np.float64]) -> float | None:
     return float(np.max(np.abs(values))) if len(values) and np.isfinite(values).all() else None
 
@@ -148,10 +155,8 @@ def injection_ns(truth: NDArray[np.void], loop_start_ns: int) -> int | None:
     return int(truth["t_mono_ns"][rows[0]]) - loop_start_ns if len(rows) else None
 
 
-def _leak(
-    snapshots: NDArray[np.void], truth: NDArray[np.void], loop_start_ns: int, zero_ns: int | None, facts: RunFacts
-) -> dict[str, Any]:
-    injected, alarms = injection_ns(truth, loop_start_ns), alarm_times_ns(snapshots)
+def _leak(snapshots: NDArray[np.void], injected: int | None, zero_ns: int | None, facts: RunFacts) -> dict[str, Any]:
+    alarms = alarm_times_ns(snapshots)
     after = alarms[alarms >= injected] if injected is not None else alarms[:0]
     detected = int(after[0]) if len(after) else None
 
@@ -194,6 +199,8 @@ def score(
     held = truth_index(truth, snapshots["t_ns"] + loop_start_ns)
     active = (snapshots["state"] == DeviceState.ACTIVE) & (snapshots["active_t_ns"] >= 0)
 
+    injected_ns = injection_ns(truth, loop_start_ns)
+
     def counting(from_s: float) -> tuple[NDArray[np.void], NDArray[np.void], int]:
         rows = active & (snapshots["active_t_ns"] >= round(from_s * NS_PER_S))
         known = rows & (held >= 0)
@@ -203,6 +210,7 @@ def score(
     error_m = cycle["ref_position_m"] - true["position_m"]
     tracking = {
         "rmse_m": rms(error_m),
+        "rmse_before_leak_m": None if injected_ns is None else rms(error_m[cycle["t_ns"] < injected_ns]),
         "max_m": _largest(error_m),
         "from_s": warm_up.tracking_s,
         "cycles": len(cycle),
@@ -210,7 +218,8 @@ def score(
     }
     cycle, true, unknown = counting(warm_up.estimation_s)
     estimation = {
-        "nmse_percent": {state: nmse_percent(true[x], cycle[xhat]) for state, (x, xhat, _) in STATES.items()},
+        "nmse_percent": _nmse(true, cycle),
+        "nmse_percent_before_leak": None if injected_ns is None else _nmse(true, cycle, cycle["t_ns"] < injected_ns),
         "rmse": {f"{state}_{unit}": rms(true[x] - cycle[xhat]) for state, (x, xhat, unit) in STATES.items()},
         "from_s": warm_up.estimation_s,
         "cycles": len(cycle),
@@ -233,7 +242,7 @@ def score(
         "lateness_us": _percentiles_us(snapshots["lateness_ns"], facts.realtime),
         "tracking": tracking,
         "estimation": estimation,
-        "leak": _leak(snapshots, truth, loop_start_ns, zero_ns, facts),
+        "leak": _leak(snapshots, injected_ns, zero_ns, facts),
         "telemetry": {"published": facts.published, "received": facts.received},
         "final_state": DeviceState(int(last["state"])).name,
         "fault": event_names(int(last["fault"])),

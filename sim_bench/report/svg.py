@@ -7,7 +7,7 @@ import io
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,7 +31,7 @@ ROLES: Final = (
 # Colours nobody would choose, one per role.
 COLOUR: Final = {role: f"#0b{index:02x}d7" for index, role in enumerate(ROLES, start=1)}
 
-STYLE: Final = {
+STYLE: Final[dict[Any, Any]] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib; wider than the reader's font, so nothing runs over
     "font.size": 9.0,
@@ -68,8 +68,8 @@ def drawing() -> Iterator[None]:
     import matplotlib as mpl
 
     # Not the reader's own matplotlibrc; and not the back end, whose choice would import pyplot.
-    defaults = {key: value for key, value in mpl.rcParamsDefault.items() if not key.startswith("backend")}
-    with mpl.rc_context({**defaults, **STYLE}):
+    settings: dict[Any, Any] = {k: v for k, v in mpl.rcParamsDefault.items() if not k.startswith("backend")}
+    with mpl.rc_context({**settings, **STYLE}):
         yield
 
 

@@ -33,7 +33,8 @@ def states(run: RunView) -> PageFigure:
     rows = {state: len(seen) - index for index, state in enumerate(seen)}
     least = LEAST_BAR * (run.span[1] - run.span[0])
     figure, axes = panels(0.13 * (len(seen) + 1) + 0.1)
-    for state, start, end in bars:
+    for state, begin, end in bars:
+        start = min(begin, run.span[1] - least)
         span = [(start, max(end - start, least))]
         axes[0].broken_barh(span, (rows[state] - 0.36, 0.72), facecolor=COLOUR[STATE_ROLE[state]])
     alarm = run.rows["leak_alarm"] != 0
@@ -41,7 +42,8 @@ def states(run: RunView) -> PageFigure:
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         start, end = float(run.t[first]), float(run.t[min(last, len(run.t) - 1)])
         axes[0].broken_barh([(start, max(end - start, least))], (-0.36, 0.72), facecolor=COLOUR["limit"])
-    axes[0].set_yticks([*rows.values(), 0], [*(state.name for state in rows), "leak alarm"])
+    axes[0].set_yticks([*rows.values(), 0], [*(state.name.replace("_", "_\n") for state in rows), "leak alarm"])
+    axes[0].tick_params(axis="y", labelsize=7.5)
     axes[0].set_ylim(-0.7, len(seen) + 0.7)
     axes[0].grid(visible=False, axis="y")
     finish(run, axes)

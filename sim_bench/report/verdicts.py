@@ -78,6 +78,8 @@ def summary_lines(report: Mapping[str, Any]) -> list[str]:
     states = ", ".join(f"{name} {'not measured' if v is None else f'{v:.2g} %'}" for name, v in nmse.items())
     opened = "none injected" if leak["injected_at_s"] is None else f"{leak['kind']}, {_at(leak['injected_at_s'])}"
     missing = f", {report['cycles_missing']} missing in the log" if report["cycles_missing"] else ""
+    sound_m = report["tracking"]["rmse_before_leak_m"]
+    before = "" if sound_m is None else f" ({_scaled(sound_m, 1e3, 'mm')} before the leak)"
     rows = [
         ("bus", report["bus"]["interface"]),
         ("rate", f"{report['rate_hz']:g} Hz, {report['cycles']} cycles, {report['overruns']} overruns{missing}"),
@@ -85,7 +87,7 @@ def summary_lines(report: Mapping[str, Any]) -> list[str]:
         ("lateness", _pair(report["lateness_us"])),
         (
             "tracking",
-            f"RMSE {_scaled(report['tracking']['rmse_m'], 1e3, 'mm')}, "
+            f"RMSE {_scaled(report['tracking']['rmse_m'], 1e3, 'mm')}{before}, "
             f"largest {_scaled(report['tracking']['max_m'], 1e3, 'mm')}, from {report['tracking']['from_s']:g} s",
         ),
         ("estimation", f"NMSE {states}"),

@@ -1,18 +1,18 @@
 """The cylinder under INTSMC, simulated cycle by cycle with what a real loop adds: noise, quantisation, delay, stalls.
 
-Node and controller work as on the bus: the node measures at kT, the command computed from that sample acts from (k+1)T to
-(k+2)T (with jitter: from (k+1)T +- T/2). The controller estimates the state with an extended Kalman filter of its own
-parameters, without leakage, at the noise figures of rigs/bench.toml.
+Node and controller work as on the bus: the node measures at kT, the command computed from that sample acts from (k+1)T
+to (k+2)T (with jitter: from (k+1)T +- T/2). The controller estimates the state with a square-root UKF on nominal
+parameters without leakage, at the noise figures that the gains were tuned with.
 """
 
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from servohil.control.intsmc import INTSMC_STATE_SIZE, SIGMA, IntsmcGains, intsmc_step
+from servohil.control.intsmc import INTSMC_STATE_SIZE, SIGMA, IntsmcGains, intsmc_step, reset
 from servohil.control.reference import SineProfile, evaluate
+from servohil.estimators import SRUKF, Model
 from servohil.estimators.models import cylinder
 from servohil.estimators.models.cylinder import CylinderParameters, acceleration, jerk_model
 from servohil.sim_bench.plant import CylinderPlant
@@ -30,49 +30,18 @@ MEASUREMENT_STD = np.array([20e-6, 0.02, 0.02])
 PLANT_PROCESS_STD = np.array([0.0, 1e-5, 500.0, 500.0])
 BENCH_SINE = SineProfile(0.3, 0.15, 2.0, blend_s=2.0)
 JITTER_PARTS = 10
-
-_f = njit(cache=True)(cylinder.f)
-
-
-@njit(cache=True)
-def predict(x: Array, u: Array, p: Array, dt: float) -> Array:
-    """One RK4 step of the model."""
-    k1, k2, k3, k4 = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
-    _f(x, u, p, k1)
-    _f(x + 0.5 * dt * k1, u, p, k2)
-    _f(x + 0.5 * dt * k2, u, p, k3)
-    _f(x + dt * k3, u, p, k4)
-    return x + dt / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
-
-
-@njit(cache=True)
-def ekf_predict(x: Array, P: Array, u: Array, p: Array, Q: Array, dt: float) -> None:
-    """Time update in place; the Jacobian by central differences."""
-    step = np.array([1e-6, 1e-6, 1e-5, 1e-5])
-    F = np.empty((4, 4))
-    for i in range(4):
-        moved = np.zeros(4)
-        moved[i] = step[i]
-        F[:, i] = (predict(x + moved, u, p, dt) - predict(x - moved, u, p, dt)) / (2.0 * step[i])
-    x[:] = predict(x, u, p, dt)
-    P[:] = F @ P @ F.T + Q
-
-
-@njit(cache=True)
-def ekf_correct(x: Array, P: Array, y: Array, R: Array) -> None:
-    """Measurement update in place with position and both pressures."""
-    rows = np.array([0, 2, 3])
-    S = R.copy()
-    for i in range(3):
-        for j in range(3):
-            S[i, j] += P[rows[i], rows[j]]
-    C = np.empty((4, 3))
-    for i in range(3):
-        C[:, i] = P[:, rows[i]]
-    K = C @ np.linalg.inv(S)
-    x += K @ (y - x[rows])
-    P -= K @ S @ K.T
-    P[:] = 0.5 * (P + P.T)
+SLEW_V = 2.0  # per cycle, where the gate cuts
+# Poles near 80 rad/s: lambda = 80, c1 K / layer = 80, c1 r^2 + (1 + c2) r + c3 with damping 0.7.
+BENCH_GAINS = IntsmcGains(
+    alpha1=1.01,
+    c1=120.0,
+    c2=13440.0,
+    c3=768000.0,
+    decay_per_s=80.0,
+    switching_gain=800.0,
+    boundary_layer=1200.0,
+    singularity_bound=0.97,
+)
 
 
 @dataclass(frozen=True)
@@ -88,15 +57,14 @@ class Scenario:
     jitter: bool = False
     stall_every_s: float = 0.0  # 0: none
     stall_cycles: int = 5
-    predict_ahead: bool = False
+    hold_at_s: float = 1e9  # from here on the reference stands where the piston was, and the law starts afresh
     late_cycles: int = 0  # more delay than the loop is built for
     noisy: bool = True
-    process_std: tuple[float, ...] = tuple(PROCESS_STD)
 
 
 @dataclass(frozen=True)
 class Run:
-    """Per cycle: time, reference (N, 4), true state (N, 4), estimate (N, 4), command, sigma."""
+    """Per cycle: time, reference (N, 4), true state (N, 4), estimate (N, 4), command, sigma, innovation in sigmas."""
 
     t_s: Array
     reference: Array
@@ -104,6 +72,7 @@ class Run:
     estimate: Array
     command_v: Array
     sigma: Array
+    innovation: Array
 
     def error_m(self, from_s: float = 3.0, to_s: float = 1e9) -> Array:
         """True position minus reference of the same moment."""
@@ -127,17 +96,22 @@ def simulate(gains: IntsmcGains, scenario: Scenario, limit_v: float = 10.0) -> R
     std = SensorStd() if scenario.noisy else SensorStd(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     sensors = Sensors(std, rng)
     model = CylinderParameters().vector()
-    x = START / SI
-    P = np.diag([1e-3, 1e-2, 0.2, 0.2]) ** 2
-    Q = np.diag(scenario.process_std) ** 2
-    R = np.diag(MEASUREMENT_STD) ** 2
+    filter_ = SRUKF(
+        Model(cylinder.f, cylinder.h, 4, 3, model, T, n_u=3),
+        START / SI,
+        np.diag([1e-3, 1e-2, 0.2, 0.2]) ** 2,
+        np.diag(PROCESS_STD) ** 2,
+        np.diag(MEASUREMENT_STD) ** 2,
+    )
+    unmeasured = np.full(3, np.nan)
     profile, law, vector = BENCH_SINE.vector(), np.zeros(INTSMC_STATE_SIZE), gains.vector()
     ref, e, jerk = np.zeros(4), np.zeros(3), np.zeros(3)
     n = round(scenario.duration_s / T)
+    hold_at, hold_m = round(scenario.hold_at_s / T), 0.0
     stall_period = round(scenario.stall_every_s / T)
-    t_s = np.arange(n) * T
+    t_s, x = np.arange(n) * T, START / SI
     log_ref, log_x, log_est = np.zeros((n, 4)), np.zeros((n, 4)), np.zeros((n, 4))
-    log_u, log_sigma = np.zeros(n), np.zeros(n)
+    log_u, log_sigma, log_innovation = np.zeros(n), np.zeros(n), np.zeros((n, 3))
     applied, waiting, missed, start_m = 0.0, 0.0, 0, START[0]
     under_way = [0.0] * scenario.late_cycles
     for k in range(n):
@@ -145,31 +119,33 @@ def simulate(gains: IntsmcGains, scenario: Scenario, limit_v: float = 10.0) -> R
             plant.set_leak(scenario.leak_kind, scenario.leak)
         log_x[k] = plant.state
         reading = sensors.read(plant.state, SUPPLY_PA, TANK_PA, applied)
-        y = np.round(reading[:3] / SI[[0, 2, 3]] / QUANTUM) * QUANTUM * 1.0
+        y = np.round(reading[:3] / SI[[0, 2, 3]] / QUANTUM) * QUANTUM
         computed = under_way[-1] if under_way else waiting
         stalled = stall_period > 0 and k >= stall_period and k % stall_period < scenario.stall_cycles
         evaluate(profile, t_s[k], start_m, ref)
+        if k == hold_at:
+            hold_m = float(x[0])
+            reset(law)
+        if k >= hold_at:
+            ref[:] = hold_m, 0.0, 0.0, 0.0
         log_ref[k] = ref
         if stalled:
             missed += 1
         else:
-            if k > 0:
-                for _ in range(missed):
-                    ekf_predict(x, P, np.array([waiting, SUPPLY_PA, TANK_PA]), model, Q, T)
-                ekf_predict(x, P, np.array([applied, SUPPLY_PA, TANK_PA]), model, Q, T)
-            ekf_correct(x, P, y, R)
+            for _ in range(missed):
+                filter_.step(np.array([waiting, SUPPLY_PA, TANK_PA]), unmeasured)
+            filter_.step(np.array([applied, reading[3], reading[4]]), y)
+            x = filter_.x
             if k == 0:
                 start_m = float(y[0])
                 evaluate(profile, 0.0, start_m, ref)
-            at, supplies = x, np.array([reading[3], reading[4]])
-            if scenario.predict_ahead:
-                at = predict(x, np.array([waiting, *supplies]), model, T)
-                evaluate(profile, t_s[k] + T, start_m, ref)
-            e[:] = at[0] - ref[0], at[1] - ref[1], acceleration(at, model) - ref[2]
-            jerk_model(at, np.array([0.0, *supplies]), model, jerk)
-            computed = intsmc_step(law, vector, e, ref[3], jerk[0], jerk[1], jerk[2], limit_v, T * (1 + missed))
+            e[:] = x[0] - ref[0], x[1] - ref[1], acceleration(x, model) - ref[2]
+            jerk_model(x, np.array([0.0, reading[3], reading[4]]), model, jerk)
+            asked = intsmc_step(law, vector, e, ref[3], jerk[0], jerk[1], jerk[2], limit_v, T * (1 + missed))
+            computed = min(max(asked, computed - SLEW_V), computed + SLEW_V)
             missed = 0
         log_est[k], log_u[k], log_sigma[k] = x * SI, computed, law[SIGMA]
+        log_innovation[k] = filter_.innovation / np.sqrt(np.diag(filter_.S))
         # over [kT, (k+1)T] acts what was computed one cycle ago
         if scenario.jitter:
             switch = int(rng.integers(-JITTER_PARTS // 2, JITTER_PARTS // 2 + 1))
@@ -182,4 +158,4 @@ def simulate(gains: IntsmcGains, scenario: Scenario, limit_v: float = 10.0) -> R
             plant.step(waiting, rng.standard_normal(4), T)
         under_way.append(computed)
         applied, waiting = waiting, under_way.pop(0)
-    return Run(t_s, log_ref, log_x, log_est, log_u, log_sigma)
+    return Run(t_s, log_ref, log_x, log_est, log_u, log_sigma, log_innovation)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from bench_bus import BENCH_DBC, COMMAND, PROTECTIONS, SENSOR_MESSAGES
+
 from servohil.drivers.codec import load_codec
 from servohil.drivers.dbc import SI_FACTORS, DbcError, load_messages
 from servohil.drivers.e2e import MessageProtection
@@ -138,6 +139,12 @@ def test_cut_off_anywhere_is_an_error_or_harmless(tmp_path: Path) -> None:
             assert load_messages(path, PROTECTIONS, NAMES) == whole
             outcomes["same"] += 1
     assert min(outcomes.values()) > 10
+
+
+@pytest.mark.parametrize("damage", ["(1,0", "(1;0)", "(,0)", "(1,0) 0|0", "(1,0) [0|0] bar"])
+def test_a_malformed_signal_is_not_left_out_silently(tmp_path: Path, damage: str) -> None:
+    whole = 'y : 8|8@1+ (1,0) [0|0] ""'
+    refused(dbc_with(tmp_path, message(f"x : 0|8@1+ {damage}", whole) + message(whole, frame_id=257, name="N")))
 
 
 def test_unknown_unit(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
+
 from servohil.drivers.e2e import (
     MAX_DELTA,
     NO_COUNTER,
@@ -77,7 +78,7 @@ def undetected_errors(ids: np.ndarray) -> np.ndarray:
     return passed
 
 
-@pytest.mark.parametrize("base", [0x00, 0x11, 0xA4, 0xFF])
+@pytest.mark.parametrize("base", [0x00, 0xA4])
 def test_every_1_2_and_3_bit_error_is_detected(base: int) -> None:
     assert undetected_errors(np.array(data_ids(base))).tolist() == [0, 0, 0, 0]
 

@@ -1,9 +1,10 @@
-"""A controller without control: writes made-up cycles at a real rate into a real ring and starts a real telemetry process.
+"""A controller without control: made-up cycles at a real rate into a real ring, and a real telemetry process.
 
     python tests/hil/fake_controller.py SPEC.json
 
-SPEC: {"setup": TelemetrySetup fields without "ring", "folder", "cycles", "rate_hz", "leak_at", "ring_bytes"}; prints one
-JSON line {"endpoint", "telemetry_pid", "ring"} when ready, one {"code", "dropped", ...} at the end. 0 cycles: until killed.
+SPEC: {"setup": TelemetrySetup fields without "ring", "folder", "cycles", "rate_hz", "leak_at", "ring_bytes"}; prints
+one JSON line {"endpoint", "telemetry_pid", "ring"} when ready, one {"code", "dropped", ...} at the end. 0 cycles: until
+SIGINT.
 """
 
 import json

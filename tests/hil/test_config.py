@@ -4,10 +4,13 @@
 
 import subprocess
 import sys
+import tomllib
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import pytest
+import tomli_w
 from pydantic import ValidationError
 
 from servohil.estimators.models.cylinder import CylinderParameters
@@ -108,7 +111,11 @@ def test_everything_is_frozen() -> None:
 
 
 def test_the_hash_is_of_the_meaning_not_of_the_text(tmp_path: Path) -> None:
-    same = edited(('pressure_max_pa = "210 bar"', "pressure_max_pa = 21e6"), ("# The bench", "# Our bench"), ("seed = 1", "seed=1  # one"))
+    same = edited(
+        ('pressure_max_pa = "210 bar"', "pressure_max_pa = 21e6"),
+        ("# The bench", "# Our bench"),
+        ("seed = 1", "seed=1  # one"),
+    )
     other = edited(('pressure_max_pa = "210 bar"', 'pressure_max_pa = "211 bar"'))
     (tmp_path / "elsewhere").mkdir()
     first = load_text(tmp_path, BENCH).config_hash()
@@ -216,6 +223,24 @@ def test_all_mistakes_are_listed_at_once(tmp_path: Path) -> None:
         "loop.rate_hz", "cylinder.mass_kg", "limits.speed_max_mps", "limits.speed_max",
         "bus.messages.Position.data_ids", "telemetry.listen",
     ]  # fmt: skip
+
+
+def tables_in(node: dict[str, Any], path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    tables = [(*path, key) for key, value in node.items() if isinstance(value, dict)]
+    return tables + [deeper for table in tables for deeper in tables_in(node[table[-1]], table)]
+
+
+@pytest.mark.parametrize("instead", [3, "x", True, [], [1], [{}], {}, {"kind": 3}])
+def test_anything_in_place_of_a_table_is_a_mistake_and_never_a_crash(tmp_path: Path, instead: object) -> None:
+    may_be_anything = {("bus", "options"), ("plant", "cylinder")}
+    for path in tables_in(tomllib.loads(BENCH)):
+        raw = tomllib.loads(BENCH)
+        parent = raw
+        for key in path[:-1]:
+            parent = parent[key]
+        parent[path[-1]] = instead
+        if path not in may_be_anything or not isinstance(instead, dict):
+            assert any(line.startswith(".".join(path)) for line in mistakes(tmp_path, tomli_w.dumps(raw))), path
 
 
 def test_a_missing_dbc_names_the_file_looked_for(tmp_path: Path) -> None:

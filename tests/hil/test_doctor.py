@@ -18,6 +18,7 @@ from servohil.hil.doctor_probes import (
     free_bytes,
     governors,
     local_bus_error,
+    multicast_error,
     numba_cache,
     permissions,
     port_error,
@@ -78,7 +79,13 @@ def test_healthy_machine_has_no_complaint() -> None:
             "fail",
             "can0 up type can bitrate",
         ),
-        ({"channel_state": "not CAN"}, {"interface": "socketcan", "channel": "lo"}, "can channel", "fail", ""),
+        (
+            {"channel_state": "not CAN"},
+            {"interface": "socketcan", "channel": "lo"},
+            "can channel",
+            "fail",
+            "ip -brief link",
+        ),
         ({"local_bus_error": "Permission denied"}, {}, "embedded bus", "fail", "TMPDIR"),
         ({"local_bus_error": "Permission denied"}, {"interface": "socketcan"}, "embedded bus", "warn", "TMPDIR"),
         ({"multicast_error": "Network is unreachable"}, {}, "multicast route", "warn", "ip route add 239.0.0.0/8"),
@@ -201,6 +208,12 @@ def test_local_bus(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert local_bus_error() is None
     monkeypatch.setattr(doctor_probes.tempfile, "tempdir", str(tmp_path / "absent"))
     assert local_bus_error() == "No such file or directory"
+
+
+def test_multicast() -> None:
+    assert multicast_error("127.0.0.1") == "Invalid argument"  # not a group
+    routed = any(row.split()[1] == "00000000" for row in Path("/proc/net/route").read_text().splitlines()[1:])
+    assert not routed or multicast_error() is None
 
 
 def test_can_socket_agrees_with_the_kernel() -> None:

@@ -1,11 +1,9 @@
-"""The safety gate against tables written from the rules, state by state, and against properties of whole histories."""
+"""The safety gate against tables written from the rules: every state with every event and every command."""
 
 from itertools import product
-from math import inf, isfinite, nan
+from math import inf, nan
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from servohil.hil.commands import Command, Result
 from servohil.hil.gate import POWER_UP, DeviceState, Event, GateDecision, GateState, Reactions, gate, gate_limits
@@ -102,6 +100,9 @@ def check_outputs(before: GateState, letter: str, got: GateDecision) -> None:
         assert got.permitted_v == 0.0
     assert got.enable is (letter in "HARh")
     assert got.state.command_v == got.permitted_v
+    if letter in "IDhF":  # nothing is left that could raise the state later
+        assert got.state[1] == DeviceState.DISABLED
+        assert got.state.ramp_left == 0
 
 
 def test_the_shipped_table_is_the_designs() -> None:
@@ -177,6 +178,7 @@ def test_a_latched_hold_ends_with_reset_and_a_new_enable_only() -> None:
 def test_power_up_to_active_takes_the_arrows_one_per_cycle() -> None:
     waiting = step(POWER_UP, ready=False)
     assert waiting.state == POWER_UP
+    assert waiting.events == 0  # nothing is stale that never came
     disabled = step(waiting.state)
     assert disabled.state.device_state == DeviceState.DISABLED
     hold = step(disabled.state, command=Command.ENABLE)
@@ -220,9 +222,11 @@ def test_the_ramp_is_straight_and_ends_on_time(event: Event, final: str) -> None
 
 def test_the_ramp_keeps_its_time_through_skipped_periods() -> None:
     first = step(start("A", volts=10.0), Event.SENSOR_STALE, periods=2)
-    assert (first.permitted_v, first.state.ramp_left) == (pytest.approx(6.0), 3)
+    assert first.permitted_v == pytest.approx(6.0)
+    assert first.state.ramp_left == 3
     assert step(first.state, periods=3).state.device_state == DeviceState.FAULT_DISABLED
     assert step(start("A"), Event.SENSOR_STALE, periods=RAMP).state.device_state == DeviceState.FAULT_DISABLED
+    assert gate(start("A"), int(Event.SENSOR_STALE), 0, 0.0, True, SHIPPED, LIMITS).state.ramp_left == RAMP - 1
     assert step(start("A"), Event.SENSOR_STALE, periods=0).state.ramp_left == RAMP - 1  # time does not stand still
 
 
@@ -280,111 +284,7 @@ def test_an_unknown_event_stops(bits: int) -> None:
 
 def test_what_the_gate_finds_itself_stops_whatever_the_table_says() -> None:
     toothless = Reactions(none=int(~Event(0)), hold=0, fault_hold=0, ramp=0, stop=0, latched=0)
-    for command, request_v in ((Command.ESTOP, 0.0), (Command.NONE, nan)):
-        got = step(start("A"), command=command, requested_v=request_v, reactions=toothless)
+    for volts, command, request_v in ((4.0, Command.ESTOP, 0.0), (4.0, Command.NONE, nan), (inf, Command.NONE, 0.0)):
+        got = step(start("A", volts=volts), command=command, requested_v=request_v, reactions=toothless)
         assert (got.state.device_state, got.permitted_v) == (DeviceState.FAULT_DISABLED, 0.0)
         assert got.state.fault != 0
-
-
-def test_a_wild_stored_command_or_ramp_is_brought_back_into_range() -> None:
-    assert step(start("A", volts=1e9), requested_v=0.0).permitted_v == MAX_V - STEP_V
-    assert step(start("A", volts=-1e9), requested_v=0.0).permitted_v == STEP_V - MAX_V
-    wild = GateState(DeviceState.FAULT_REACTION, DeviceState.FAULT_DISABLED, OLD_FAULT, 10**9, 1e9)
-    assert step(wild).permitted_v == pytest.approx(MAX_V * (RAMP - 1) / RAMP)
-    assert step(wild._replace(command_v=-1e9)).permitted_v == pytest.approx(-MAX_V * (RAMP - 1) / RAMP)
-    assert step(wild._replace(ramp_left=-5)).state.device_state == DeviceState.FAULT_DISABLED
-
-
-@pytest.mark.parametrize(
-    ("last", "request_v", "permitted", "found"),
-    [
-        (0.0, 2.0, 2.0, Event(0)), (0.0, 2.5, 2.0, Event.COMMAND_SLEWED), (0.0, -2.5, -2.0, Event.COMMAND_SLEWED),
-        (9.0, 10.0, 10.0, Event(0)), (9.0, 10.5, 10.0, Event.COMMAND_CLIPPED), (-9.0, -11.0, -10.0, Event.COMMAND_CLIPPED),
-        (0.0, 50.0, 2.0, Event.COMMAND_CLIPPED | Event.COMMAND_SLEWED), (10.0, -10.0, 8.0, Event.COMMAND_SLEWED),
-    ],
-)  # fmt: skip
-def test_range_and_slew(last: float, request_v: float, permitted: float, found: Event) -> None:
-    for letter in "HA":
-        got = step(start(letter, volts=last), requested_v=request_v)
-        assert (got.permitted_v, got.events) == (permitted, found)
-
-
-def test_limits_in_cycles() -> None:
-    assert gate_limits(10.0, 2000.0, 0.1, 0.001) == (10.0, 2.0, 100)
-    assert gate_limits(10.0, 2000.0, 0.3, 0.1).ramp_periods == 3  # 0.3 / 0.1 is 2.9999999999999996
-    assert gate_limits(10.0, 2000.0, 0.0399, 0.02).ramp_periods == 1  # rounded down
-    assert gate_limits(10.0, 2000.0, 0.001, 0.02).ramp_periods == 1  # never none
-    for name in ("command_max_v", "slew_v_per_s", "ramp_down_s", "period_s"):
-        for bad in (0.0, -1.0, nan, inf):
-            arguments = {"command_max_v": 1.0, "slew_v_per_s": 1.0, "ramp_down_s": 1.0, "period_s": 1.0, name: bad}
-            with pytest.raises(ValueError, match=f"^gate limit {name} = {bad!r}: must be finite and > 0$"):
-                gate_limits(**arguments)
-
-
-EVENTS = st.one_of(st.just(0), st.sampled_from([int(e) for e in Event]), st.integers(0, (1 << len(Event)) - 1))
-REQUESTS = st.one_of(st.floats(-12.0, 12.0), st.floats(), st.sampled_from([10.0, -10.0]))
-MILD = st.tuples(st.sampled_from([0, 0, 0, int(Event.SETPOINT_STALE)]), st.sampled_from([0, 0, 1, 1, 2, 4]),
-                 st.floats(-12.0, 12.0), st.just(True), st.integers(1, 2))  # fmt: skip
-ROUGH = st.tuples(EVENTS, st.integers(-1, 10), REQUESTS, st.booleans(), st.integers(0, 8))
-HISTORIES = st.lists(st.one_of(MILD, MILD, MILD, ROUGH), min_size=4, max_size=40)
-MOVING = (DeviceState.HOLD, DeviceState.ACTIVE, DeviceState.FAULT_REACTION)
-SEVERITY = {DeviceState.FAULT_REACTION: 1, DeviceState.FAULT_HOLD: 1, DeviceState.FAULT_DISABLED: 2}
-
-
-@settings(max_examples=300, deadline=None)
-@given(HISTORIES, st.sampled_from(["none", "hold", "fault_hold"]))
-def test_properties_of_any_history(history: list[tuple[int, int, float, bool, int]], leak: str) -> None:
-    reactions = load_reactions(leak)
-    before = POWER_UP
-    permission = False  # an accepted ENABLE or HOLD since the last fault, reset or disable
-    for events, command, requested, ready, periods in history:
-        got = step(before, events, command, requested, ready, periods, reactions)
-        after, volts = got.state, got.permitted_v
-        assert isfinite(volts)
-        assert abs(volts) <= MAX_V
-        assert volts == 0.0 or after.device_state in MOVING
-        assert got.enable or volts == 0.0
-        if after.device_state in (DeviceState.HOLD, DeviceState.ACTIVE):
-            assert abs(volts - before.command_v) <= STEP_V * (1 + 1e-12)
-            assert isfinite(requested)
-        elif after.device_state == DeviceState.FAULT_REACTION:
-            assert abs(volts) <= abs(before.command_v)
-            assert volts * before.command_v >= 0.0
-        reset = command == Command.RESET and got.result == Result.ACCEPTED
-        if reset:
-            assert (after.device_state, volts, after.fault) == (DeviceState.DISABLED, 0.0, 0)
-        else:
-            assert after.fault & before.fault == before.fault
-            assert SEVERITY.get(DeviceState(after.device_state), 0) >= SEVERITY.get(DeviceState(before.device_state), 0)
-        if command in (Command.DISABLE, Command.SHUTDOWN, Command.ESTOP) or not ready & isfinite(requested):
-            assert after.device_state not in (DeviceState.HOLD, DeviceState.ACTIVE)
-        permission |= command in (Command.ENABLE, Command.HOLD) and got.result == Result.ACCEPTED
-        if after.device_state in (DeviceState.HOLD, DeviceState.ACTIVE):
-            assert permission
-            assert after.device_state <= before.device_state + 1
-        else:
-            permission = False
-        if after.device_state == DeviceState.ACTIVE:
-            assert after.fault == 0
-        before = after
-
-
-@settings(max_examples=300, deadline=None)
-@given(HISTORIES, HISTORIES)
-def test_after_an_emergency_stop_nothing_moves_without_reset_and_then_a_new_permission(
-    first: list[tuple[int, int, float, bool, int]], then: list[tuple[int, int, float, bool, int]]
-) -> None:
-    state = POWER_UP
-    for cycle in first:
-        state = step(state, *cycle).state
-    state = step(state, command=Command.ESTOP).state
-    reset = False
-    for events, command, requested, ready, periods in then:
-        got = step(state, events, command, requested, ready, periods)
-        asked = command in (Command.ENABLE, Command.HOLD) and got.result == Result.ACCEPTED
-        if reset and asked:
-            return
-        reset |= command == Command.RESET and got.result == Result.ACCEPTED
-        assert got.permitted_v == 0.0
-        assert not got.enable
-        state = got.state

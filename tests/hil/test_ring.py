@@ -75,7 +75,7 @@ def ring(tmp_path: Path) -> Iterator[tuple[RingWriter, RingReader]]:
 
 
 # A size to write, or None to read one record; the small ring wraps every few records.
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=120, deadline=None)
 @given(st.lists(st.one_of(st.none(), st.integers(0, PAGE // 2 - 32)), max_size=120), st.randoms(use_true_random=False))
 def test_ring_equals_a_deque_that_counts_drops(steps: list[int | None], rng: random.Random) -> None:
     with tempfile.TemporaryDirectory() as folder:
@@ -255,6 +255,12 @@ def test_checkpoint_request_stands_until_one_found_room(ring: tuple[RingWriter, 
     assert writer.write_checkpoint(b"c" * 500)
     assert not writer.checkpoint_wanted
     assert reader.read() == (Kind.CHECKPOINT, 2, b"c" * 500)
+
+
+def test_a_checkpoint_that_can_never_fit_says_so(ring: tuple[RingWriter, RingReader]) -> None:
+    with pytest.raises(RingError, match=f"checkpoint of {PAGE} bytes"):
+        ring[0].write_checkpoint(bytes(PAGE))
+    assert ring[0].write_checkpoint(bytes(PAGE // 2 - 32))
 
 
 def test_commands_cross_in_order_and_are_refused_when_nobody_takes_them(ring: tuple[RingWriter, RingReader]) -> None:

@@ -176,6 +176,22 @@ def test_leak_detected() -> None:
     assert found["kind"] == "internal"
 
 
+def test_what_came_before_the_leak_is_told_apart() -> None:
+    rows, true = perfect(CYCLES)
+    opened = at(4.0)
+    true["leak"][opened:], true["leak_kind"][opened:] = 1e-11, 1
+    rows["ref_position_m"] += np.where(np.arange(CYCLES) < opened, 1e-4, 1e-2)
+    rows["est_velocity_mps"][opened:] += 0.1
+    found = score(rows, true, LOOP_START_NS, facts())
+    assert found["tracking"]["rmse_before_leak_m"] == pytest.approx(1e-4, rel=1e-9)
+    assert found["tracking"]["rmse_m"] > 5e-3
+    assert found["estimation"]["nmse_percent_before_leak"]["velocity"] == 0.0
+    assert found["estimation"]["nmse_percent"]["velocity"] > 0.1
+    sound = score(*perfect(CYCLES), LOOP_START_NS, facts())
+    assert sound["tracking"]["rmse_before_leak_m"] is None
+    assert sound["estimation"]["nmse_percent_before_leak"] is None
+
+
 def test_leak_missed() -> None:
     found = leaking(at(4.0))
     assert found["detected_at_s"] is None

@@ -22,10 +22,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-from images import build_initramfs, build_python_images
-from packages import NotInstallable, install_tools, unpack, unpack_kernel, which
+from vm_images import build_initramfs, build_python_images
+from vm_packages import NotInstallableError, install_tools, unpack, unpack_kernel, which
 
 HERE: Final = Path(__file__).resolve().parent
 CHECKOUT: Final = HERE.parents[1]
@@ -33,9 +31,6 @@ CANNOT_RUN_HERE: Final = 77
 TIMED_OUT: Final = 124
 NO_RESULT: Final = 125
 GUEST_OUTPUT: Final = "/run/socketcan_vm"  # in the guest: a folder of the host, the one place it can write to
-
-# numba names the processor in its cache; host and guest must call theirs the same or the guest compiles everything anew
-NUMBA: Final = {"NUMBA_CPU_NAME": "x86-64-v2", "NUMBA_CPU_FEATURES": ""}
 
 
 def cache_folder() -> Path:
@@ -46,7 +41,18 @@ def cache_folder() -> Path:
     return folder.resolve()
 
 
-def warm_up(numba_cache: Path) -> None:
+def shared_environment(folder: Path) -> dict[str, str]:
+    """What host and guest must agree on to share caches under `folder`."""
+    return {
+        # numba names the processor in its cache: without these the guest would compile everything anew
+        "NUMBA_CPU_NAME": "x86-64-v2",
+        "NUMBA_CPU_FEATURES": "",
+        "NUMBA_CACHE_DIR": str(folder / "numba"),
+        "MPLCONFIGDIR": str(folder / "matplotlib"),  # its list of fonts takes the guest a minute to make
+    }
+
+
+def warm_up(numba_cache: Path, shared: dict[str, str]) -> None:
     """Compile on the host what the guest will run. A failure is only told: the guest's own result counts."""
     key = hashlib.sha256()
     for room in ("estimators", "control", "drivers", "hil", "sim_bench", "rigs", "tests/drivers", "tests/socketcan_vm"):
@@ -58,17 +64,18 @@ def warm_up(numba_cache: Path) -> None:
         return
     shutil.rmtree(numba_cache, ignore_errors=True)
     numba_cache.mkdir(parents=True)
-    environment = {**os.environ, **NUMBA, "NUMBA_CACHE_DIR": str(numba_cache)}
     print("compiling on the host", flush=True)
     command = [sys.executable, str(HERE / "guest_tests.py"), "--warm-up"]
-    outcome = subprocess.run(command, cwd=CHECKOUT, env=environment, check=False)
+    outcome = subprocess.run(command, cwd=CHECKOUT, env={**os.environ, **shared}, check=False)
     if outcome.returncode == 0:
         stamp.write_text(key.hexdigest())
     else:
         print(f"the warm-up failed (exit code {outcome.returncode}): the guest compiles for itself, slowly", flush=True)
 
 
-def write_job(job: Path, command: list[str], mounts: Iterable[tuple[str, Path]], numba_cache: Path, limit_s: int) -> None:
+def write_job(
+    job: Path, command: list[str], mounts: Iterable[tuple[str, Path]], shared: dict[str, str], limit_s: int
+) -> None:
     """What `init` reads in the guest: the command as a script, the images' places, the cache, the time limit."""
     environment = {
         "PATH": f"{Path(sys.executable).parent}:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
@@ -77,8 +84,7 @@ def write_job(job: Path, command: list[str], mounts: Iterable[tuple[str, Path]],
         "TERM": "dumb",
         "PYTHONUNBUFFERED": "1",
         "SERVOHIL_GUEST_OUTPUT": GUEST_OUTPUT,
-        **NUMBA,
-        "NUMBA_CACHE_DIR": str(numba_cache),
+        **shared,
     }
     lines = ["#!/bin/sh", f"cd {shlex.quote(str(CHECKOUT))} || exit 125"]
     lines += [f"export {name}={shlex.quote(value)}" for name, value in environment.items()]
@@ -87,7 +93,7 @@ def write_job(job: Path, command: list[str], mounts: Iterable[tuple[str, Path]],
     script.write_text("\n".join(lines) + "\n")
     script.chmod(0o755)
     (job / "mounts").write_text("".join(f"{device} {path}\n" for device, path in mounts))
-    (job / "numba_cache").write_text(f"{numba_cache}\n")
+    (job / "numba_cache").write_text(shared["NUMBA_CACHE_DIR"] + "\n")
     (job / "time_limit_s").write_text(f"{limit_s}\n")
 
 
@@ -95,21 +101,21 @@ def qemu_command(kernel: Path, initramfs: Path, images: list[Path], job: Path) -
     """Software emulation on purpose: a stock kernel may hang under a nested /dev/kvm."""
     qemu = which("qemu-system-x86_64")
     assert qemu is not None
-    shares = [
-        f"local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap",
-        f"local,path={job},mount_tag=job,security_model=none",
-    ]
     command = [
         qemu, "-accel", "tcg,thread=multi", "-cpu", "max", "-smp", "2", "-m", "3072", "-nic", "none", "-no-reboot",
         "-nodefaults", "-no-user-config", "-display", "none", "-rtc", "base=utc", "-serial", "stdio",
         "-kernel", str(kernel), "-initrd", str(initramfs),
         "-append", "console=ttyS0 loglevel=0 panic=-1 mitigations=off random.trust_cpu=on",
     ]  # fmt: skip
-    for share in shares:
-        command += ["-virtfs", share]
+    command += ["-virtfs", "local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap"]
+    command += ["-virtfs", f"local,path={_quoted(job)},mount_tag=job,security_model=none"]
     for image in images:
-        command += ["-drive", f"file={image},format=raw,if=virtio,readonly=on"]
+        command += ["-drive", f"file={_quoted(image)},format=raw,if=virtio,readonly=on"]
     return command
+
+
+def _quoted(path: Path) -> str:
+    return str(path).replace(",", ",,")  # a comma ends a value in qemu's options
 
 
 def exit_code_of(last_line: str) -> int:
@@ -156,7 +162,9 @@ def run_guest(command: list[str], limit_s: int) -> int:
 def main() -> int:
     """Prepare what is missing, run the command in the guest, return its exit code."""
     parser = argparse.ArgumentParser(description="Run COMMAND on a kernel with vcan0 (default: guest_tests.py).")
-    parser.add_argument("--keep-images", action="store_true", help="use the Python images as they are, even if outdated")
+    parser.add_argument(
+        "--keep-images", action="store_true", help="use the Python images as they are, even if outdated"
+    )
     parser.add_argument("--time-limit", type=int, default=900, metavar="S", help="stop the guest after S seconds (900)")
     parser.add_argument("command", nargs=argparse.REMAINDER, metavar="COMMAND")
     arguments = parser.parse_args()
@@ -170,18 +178,20 @@ def main() -> int:
         install_tools()
         kernel, release = unpack_kernel(folder)
         busybox = unpack("busybox-static", folder)
-    except NotInstallable as reason:
+    except NotInstallableError as reason:
         print(f"socketcan_vm: cannot run here: {reason}", flush=True)
         return CANNOT_RUN_HERE
     initramfs = build_initramfs(kernel, release, busybox, HERE / "init", folder)
     images = build_python_images(folder, CHECKOUT / "requirements.lock", keep=arguments.keep_images)
-    numba_cache = folder / "numba"
-    warm_up(numba_cache)
+    shared = shared_environment(folder)
+    warm_up(folder / "numba", shared)
     print(f"prepared in {time.monotonic() - start:.1f} s, booting {release}", flush=True)
     with tempfile.TemporaryDirectory(prefix="guest-", dir=folder) as job:
         mounts = [(f"vd{letter}", path) for letter, (_, path) in zip("abcdef", images, strict=False)]
-        write_job(Path(job), command, mounts, numba_cache, arguments.time_limit)
-        qemu = qemu_command(kernel / "boot" / f"vmlinuz-{release}", initramfs, [image for image, _ in images], Path(job))
+        write_job(Path(job), command, mounts, shared, arguments.time_limit)
+        qemu = qemu_command(
+            kernel / "boot" / f"vmlinuz-{release}", initramfs, [image for image, _ in images], Path(job)
+        )
         code = run_guest(qemu, arguments.time_limit)
         last_output = folder / "last-output"
         shutil.rmtree(last_output, ignore_errors=True)
@@ -191,4 +201,7 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit(128 + signal.SIGINT)

@@ -15,7 +15,7 @@ TOOLS = {  # program: Debian package
 SBIN = "/usr/sbin:/sbin"  # depmod lives there, which is not on every user's PATH
 
 
-class NotInstallable(Exception):
+class NotInstallableError(Exception):
     """This machine cannot get qemu, the tools or the kernel. Example: no apt-get, no network, not root."""
 
 
@@ -28,7 +28,12 @@ def _apt(arguments: list[str], folder: Path | None = None) -> subprocess.Complet
     options = ["-o", "APT::Sandbox::User=root"] if os.geteuid() == 0 else []
     environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive", "LC_ALL": "C.UTF-8"}
     return subprocess.run(
-        [arguments[0], *options, *arguments[1:]], cwd=folder, env=environment, text=True, capture_output=True, check=False
+        [arguments[0], *options, *arguments[1:]],
+        cwd=folder,
+        env=environment,
+        text=True,
+        capture_output=True,
+        check=False,
     )
 
 
@@ -41,29 +46,31 @@ def _apt_get(arguments: list[str], folder: Path | None = None) -> None:
             outcome = _apt(["apt-get", *arguments], folder)
         if outcome.returncode != 0:
             last = (outcome.stderr.strip() or outcome.stdout.strip() or "no message").splitlines()[-1]
-            raise NotInstallable(f"`apt-get {' '.join(arguments)}` failed: {last}")
+            raise NotInstallableError(f"`apt-get {' '.join(arguments)}` failed: {last}")
 
 
 def install_tools() -> None:
-    """Install the host tools that are missing; raises NotInstallable with the command that would do it."""
+    """Install the host tools that are missing; raises NotInstallableError with the command that would do it."""
     missing = [package for program, package in TOOLS.items() if which(program) is None]
     if not missing:
         return
     if which("apt-get") is None:
-        raise NotInstallable(f"missing {', '.join(missing)}, and there is no apt-get (needs Debian's packages)")
+        raise NotInstallableError(f"missing {', '.join(missing)}, and there is no apt-get (needs Debian's packages)")
     command = ["install", "-y", "--no-install-recommends", *missing]
     if os.geteuid() != 0:
-        raise NotInstallable(f"missing {', '.join(missing)}: run `sudo apt-get {' '.join(command)}`")
+        raise NotInstallableError(f"missing {', '.join(missing)}: run `sudo apt-get {' '.join(command)}`")
     print(f"installing {', '.join(missing)}", flush=True)
     _apt_get(command)
     still = [program for program in TOOLS if which(program) is None]
     if still:
-        raise NotInstallable(f"installed {', '.join(missing)}, but found no {', '.join(still)}")
+        raise NotInstallableError(f"installed {', '.join(missing)}, but found no {', '.join(still)}")
 
 
 def newest_kernel_package() -> str | None:
     """Name of the newest stock kernel package that apt knows, None where it knows none."""
-    names = re.findall(r"Depends: (linux-image-\d[\w.+-]*-amd64)", _apt(["apt-cache", "depends", "linux-image-amd64"]).stdout)
+    names = re.findall(
+        r"Depends: (linux-image-\d[\w.+-]*-amd64)", _apt(["apt-cache", "depends", "linux-image-amd64"]).stdout
+    )
     return max(names, key=version_key, default=None)
 
 
@@ -102,7 +109,9 @@ def unpack_kernel(folder: Path) -> tuple[Path, str]:
     if package is None:
         earlier = [path.name for path in folder.glob("linux-image-*-amd64")]
         if not earlier:
-            raise NotInstallable("apt knows no package linux-image-amd64 (needs Debian on x86-64 and its package lists)")
+            raise NotInstallableError(
+                "apt knows no package linux-image-amd64 (needs Debian on x86-64 and its package lists)"
+            )
         package = max(earlier, key=version_key)
     root = unpack(package, folder)
     release = package.removeprefix("linux-image-")

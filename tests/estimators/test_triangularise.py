@@ -1,0 +1,47 @@
+import numpy as np
+import pytest
+from servohil.estimators.triangularise import solve_transposed, triangularise
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (3, 3), (12, 7), (34, 22)])
+def test_factor_of_the_same_matrix_upper_with_positive_diagonal(rows, columns):
+    rng = np.random.default_rng(rows)
+    array = np.zeros((rows + 2, columns + 1))  # larger than what is in use: the rest must not be touched
+    array[:] = 7.0
+    array[:rows, :columns] = rng.normal(size=(rows, columns))
+    gram = array[:rows, :columns].T @ array[:rows, :columns]
+    triangularise(array, rows, columns, np.empty(columns))
+    upper = np.triu(array[:columns, :columns])
+    np.testing.assert_allclose(upper.T @ upper, gram, rtol=1e-13, atol=1e-13 * gram.max())
+    np.testing.assert_allclose(upper.T, np.linalg.cholesky(gram), rtol=1e-9, atol=1e-12)
+    assert (array[rows:] == 7.0).all() and (array[:, columns:] == 7.0).all()
+
+
+def test_rows_of_very_different_size_keep_their_relative_accuracy():
+    rng = np.random.default_rng(1)
+    scale = np.array([1e-12, 1.0, 1e9])
+    array = rng.normal(size=(7, 3))
+    scaled = array * scale
+    triangularise(array, 7, 3, np.empty(3))
+    triangularise(scaled, 7, 3, np.empty(3))
+    np.testing.assert_allclose(np.triu(scaled[:3]), np.triu(array[:3]) * scale, rtol=1e-13, atol=0)
+
+
+@pytest.mark.parametrize("array", [np.zeros((5, 3)), -np.eye(3), np.eye(5, 3) * -2, np.full((4, 2), 1e-200)])
+def test_singular_and_negative_arrays_give_finite_factors(array):
+    array = array.copy()
+    gram = array.T @ array
+    triangularise(array, len(array), array.shape[1], np.empty(3))
+    upper = np.triu(array[: array.shape[1]])
+    assert np.isfinite(upper).all() and (np.diag(upper) >= 0).all()
+    np.testing.assert_allclose(upper.T @ upper, gram, atol=1e-300)
+
+
+def test_forward_substitution():
+    rng = np.random.default_rng(3)
+    upper = np.triu(rng.normal(size=(6, 6))) + 3 * np.eye(6)
+    rhs = rng.normal(size=6)
+    solution = rhs.copy()
+    solve_transposed(upper, 4, solution)
+    np.testing.assert_allclose(upper[:4, :4].T @ solution[:4], rhs[:4], rtol=1e-12)
+    np.testing.assert_array_equal(solution[4:], rhs[4:])

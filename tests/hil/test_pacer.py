@@ -1,0 +1,68 @@
+"""Deadlines: a fixed grid, whole periods skipped, phase kept."""
+
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from servohil.hil.pacer import Pacer, skip_missed, sleep_until
+
+PERIOD = 1_000_000
+
+
+def test_no_overrun_gives_the_next_deadline() -> None:
+    assert skip_missed(10 * PERIOD, PERIOD, 10 * PERIOD + 300_000) == (11 * PERIOD, 0)
+    assert skip_missed(10 * PERIOD, PERIOD, 11 * PERIOD) == (11 * PERIOD, 0)
+
+
+def test_an_overrun_skips_whole_periods() -> None:
+    assert skip_missed(10 * PERIOD, PERIOD, 11 * PERIOD + 1) == (12 * PERIOD, 1)
+    assert skip_missed(10 * PERIOD, PERIOD, 15 * PERIOD + 1) == (16 * PERIOD, 5)
+
+
+@given(deadline=st.integers(0, 10**15), period=st.integers(1, 10**9), late=st.integers(0, 10**11))
+def test_the_next_deadline_is_on_the_grid_and_not_past(deadline: int, period: int, late: int) -> None:
+    now = deadline + late
+    following, skipped = skip_missed(deadline, period, now)
+    assert (following - deadline) % period == 0  # the phase is kept
+    assert following == deadline + (1 + skipped) * period
+    assert following >= now or following == deadline + period
+    assert following - now < period or skipped == 0  # no more is skipped than has to be
+
+
+def test_two_loops_of_one_period_keep_their_distance() -> None:
+    first, second = Pacer(PERIOD, 0.0), Pacer(PERIOD, 0.5)
+    first.start()
+    second.start(margin_ns=123_457)
+    assert first.deadline_ns % PERIOD == 0
+    assert second.deadline_ns % PERIOD == PERIOD // 2
+
+
+def test_the_first_deadline_respects_the_margin() -> None:
+    before = time.monotonic_ns()
+    assert Pacer(PERIOD, 0.25).start(margin_ns=5 * PERIOD) >= before + 5 * PERIOD
+
+
+def test_waiting_never_returns_early_and_measures_lateness() -> None:
+    pacer = Pacer(PERIOD, 0.0)
+    pacer.start()
+    for _ in range(20):
+        deadline = pacer.deadline_ns
+        now = pacer.wait()
+        assert now >= deadline
+        assert pacer.lateness_ns == now - deadline
+        pacer.advance(now)
+
+
+def test_sleep_until_the_past_returns_at_once() -> None:
+    before = time.monotonic_ns()
+    assert sleep_until(before - PERIOD) - before < 50 * PERIOD
+
+
+@pytest.mark.parametrize(
+    ("period", "phase", "word"), [(0, 0.0, "period_ns"), (PERIOD, 1.0, "phase"), (PERIOD, -0.1, "phase")]
+)
+def test_refused_arguments_are_named(period: int, phase: float, word: str) -> None:
+    with pytest.raises(ValueError, match=word):
+        Pacer(period, phase)

@@ -1,0 +1,102 @@
+"""The host's side of the virtual machine, without booting one."""
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from guest_tests import faults_of
+from run import NO_RESULT, TIMED_OUT, exit_code_of, qemu_command, run_guest
+from vm_images import load_order
+from vm_packages import version_key
+
+GOOD_REPORT: dict[str, Any] = {
+    "bus": {"interface": "socketcan"},
+    "final_state": "DISABLED",
+    "leak": {"injected_at_s": 12.0, "detected_at_s": 12.4, "false_alarms": 0},
+}
+
+
+def test_modules_come_after_what_they_need() -> None:
+    modules_dep = (
+        "k/net/vcan.ko: k/can-dev.ko\nk/can-dev.ko: k/can.ko k/base.ko\nk/can.ko: k/base.ko\nk/base.ko:\nk/x.ko:\n"
+    )
+    order = load_order(modules_dep, "kernel/drivers/virtio-pci.ko\n", ("virtio_pci", "vcan", "can"))
+    assert sorted(order) == ["k/base.ko", "k/can-dev.ko", "k/can.ko", "k/net/vcan.ko"]
+    assert [order.index(f"k/{name}.ko") for name in ("base", "can", "can-dev", "net/vcan")] == [0, 1, 2, 3]
+
+
+def test_unknown_module_is_an_error() -> None:
+    with pytest.raises(KeyError, match="vcan"):
+        load_order("k/can.ko:\n", "", ("vcan",))
+
+
+def test_newest_kernel_is_found_by_number() -> None:
+    names = ["linux-image-6.1.0-9-amd64", "linux-image-6.1.0-56-amd64", "linux-image-5.10.0-99-amd64"]
+    assert max(names, key=version_key) == "linux-image-6.1.0-56-amd64"
+
+
+def test_exit_code_is_the_last_line_alone() -> None:
+    assert exit_code_of("exit code 0\n") == 0
+    assert exit_code_of("exit code 3") == 3
+    assert exit_code_of("the exit code 0") == NO_RESULT
+    assert exit_code_of("") == NO_RESULT
+
+
+def test_a_command_cannot_pass_for_a_machine_without_qemu() -> None:
+    assert exit_code_of("exit code 77") == 1
+
+
+def _says(*lines: str, then: str = "") -> list[str]:
+    return [sys.executable, "-c", f"for line in {lines!r}: print(line, flush=True)\n{then}"]
+
+
+def test_guest_result_is_handed_on(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run_guest(_says("exit code 0", "a test failed", "exit code 4"), 60) == 4
+    assert "a test failed" in capfd.readouterr().out
+
+
+def test_guest_that_dies_has_no_result() -> None:
+    assert run_guest(_says("exit code 0", "Kernel panic - not syncing"), 60) == NO_RESULT
+
+
+def test_guest_that_hangs_is_stopped() -> None:
+    start = time.monotonic()
+    assert run_guest(_says("exit code 0", then="import time; time.sleep(60)"), 1) == TIMED_OUT
+    assert time.monotonic() - start < 30
+
+
+def test_commas_in_paths_reach_qemu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("run.which", lambda _: "/usr/bin/qemu-system-x86_64")
+    command = qemu_command(Path("/k"), Path("/i"), [Path("/a,b/c.squashfs")], Path("/job,1"))
+    assert "file=/a,,b/c.squashfs,format=raw,if=virtio,readonly=on" in command
+    assert "local,path=/job,,1,mount_tag=job,security_model=none" in command
+
+
+def test_good_report_has_no_faults() -> None:
+    assert faults_of(GOOD_REPORT) == []
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("bus.interface", "servohil"),
+        ("final_state", "FAULT_DISABLED"),
+        ("leak.injected_at_s", None),
+        ("leak.detected_at_s", None),
+        ("leak.detected_at_s", 11.9),
+        ("leak.false_alarms", 1),
+    ],
+)
+def test_each_fault_of_a_report_is_told(path: str, value: Any) -> None:
+    report = json.loads(json.dumps(GOOD_REPORT))
+    *parents, key = path.split(".")
+    place = report
+    for parent in parents:
+        place = place[parent]
+    place[key] = value
+    faults = faults_of(report)
+    assert len(faults) == 1
+    assert path in faults[0]
