@@ -50,7 +50,11 @@ class _Walk:
 
     def value(self, value: Any, names: frozenset[str]) -> None:
         """Hash one value; `names` are the attributes its user mentions, which is all that matters of a module."""
-        if value is None or isinstance(value, bool | int | float | complex | str | bytes) and not isinstance(value, Enum):
+        if (
+            value is None
+            or isinstance(value, bool | int | float | complex | str | bytes)
+            and not isinstance(value, Enum)
+        ):
             self.add(f"{type(value).__name__} {value!r}")
         elif isinstance(value, Enum):
             self.add(f"{type(value).__qualname__}.{value.name}")

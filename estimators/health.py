@@ -11,6 +11,7 @@ GATED: Final = 2
 REPAIRED: Final = 4
 NOT_FINITE_INPUT: Final = 8
 DIVERGED: Final = 16
+GATE_PATIENCE: Final = 100  # steps
 WRONG_SIZE: Final = -1  # of u or y: a programming error, which `step` raises in Python
 
 
@@ -20,7 +21,7 @@ class Status(IntFlag):
     OK = OK
     MISSING = MISSING  # at least one channel of y was NaN; the others were used
     GATED = GATED  # the innovation failed the chi-square gate: predicted, not corrected
-    REPAIRED = REPAIRED  # the correction was refused as numerically meaningless: predicted, not corrected
+    REPAIRED = REPAIRED  # the correction was numerically meaningless and left out, or a gate shut too long was opened
     NOT_FINITE_INPUT = NOT_FINITE_INPUT  # u not finite or y infinite: nothing was done
     DIVERGED = DIVERGED  # the prediction was not finite: rolled back to the estimate before
 
@@ -36,3 +37,4 @@ class Health:
     not_finite_input: int
     diverged: int
     since_full_update: int  # steps in a row whose measurement was not, or only partly, used
+    gated_in_a_row: int  # beyond `GATE_PATIENCE` the gate is open: the estimate is wrong rather than the sensor

@@ -94,24 +94,14 @@ class Model:
         self.p = _parameters(p)
         self.names = _labels("names", names, self.n, tuple(f"x{i}" for i in range(self.n)))
         self.units = _labels("units", units, self.n, ("",) * self.n)
-        functions = {}
-        for name, function in (("f", f), ("h", h)):
-            if not callable(function):
-                raise ModelError(f"{name} = {function!r}: must be a function that fills its last argument")
-            plain = function.py_func if isinstance(function, Dispatcher) else function
-            functions[name] = plain
-        self._compiled = {
-            name: njit(nogil=True, error_model="numpy")(function) for name, function in functions.items()
-        }
+        f = _plain("f", f)
+        h = _plain("h", h)
+        self._compiled = {name: njit(nogil=True, error_model="numpy")(g) for name, g in (("f", f), ("h", h))}
         self._stages = np.zeros(STAGES * self.n)
-
-        def check() -> None:
-            _check_fills("f", functions["f"], self.n, self.n_u, self.p, self.n)
-            _check_fills("h", functions["h"], self.n, self.n_u, self.p, self.m)
-
         signature = f"void({VECTOR}, {VECTOR}, {VECTOR}, {VECTOR})"
-        self._advance = self.specialise(_advance, signature, check)
-        self._outputs = self.specialise(_outputs, signature)
+        sizes = (self.n, self.n_u, self.p)
+        self._advance = self.specialise(_advance, signature, lambda: _check_fills("f", f, *sizes, self.n))
+        self._outputs = self.specialise(_outputs, signature, lambda: _check_fills("h", h, *sizes, self.m))
 
     def specialise(
         self, kernel: Callable[..., Any], signature: str, check: Callable[[], None] | None = None, **values: Any
@@ -124,7 +114,13 @@ class Model:
             "DT": self.dt, "SUBSTEPS": self.substeps,
         }  # fmt: skip
         try:
-            return specialise(kernel, signature, {**names, **values}, f"{len(self.p)} parameters", check)
+            return specialise(
+                kernel,
+                signature,
+                {**names, **values},
+                f"{len(self.p)} parameters, sizes {self.n} {self.m} {self.n_u}",
+                check,
+            )
         except NumbaError as error:
             raise ModelError(f"f or h cannot be compiled by numba: {_reason(error)}") from error
 
@@ -145,6 +141,12 @@ def _count(name: str, value: object, least: int = 1) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ModelError(f"{name} = {value!r}: must be a whole number >= {least}")
     return int(value)
+
+
+def _plain(name: str, function: ModelFunction) -> ModelFunction:
+    if not callable(function):
+        raise ModelError(f"{name} = {function!r}: must be a function that fills its last argument")
+    return function.py_func if isinstance(function, Dispatcher) else function
 
 
 def _sized(name: str, value: ArrayLike, size: int) -> Vector:

@@ -60,7 +60,9 @@ def specialise(
         return function
     if not known:
         _forget_stale(helpers)
-    cache = known or (key != "" and _write(file, f"# {kernel.__module__}.{kernel.__name__} {signature} {note}\n# {key}\n"))
+    cache = known or (
+        key != "" and _write(file, f"# {kernel.__module__}.{kernel.__name__} {signature} {note}\n# {key}\n")
+    )
     if cache:
         function = _with_globals(kernel, values, str(file))
     compiled = numba.njit(signature, cache=cache, nogil=True, error_model="numpy")(function)

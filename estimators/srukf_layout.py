@@ -9,7 +9,8 @@ from typing import Final
 
 from numba.extending import register_jitable
 
-COUNTERS: Final = 7  # steps, missing, gated, repaired, not finite input, diverged, steps since the last full update
+# steps, missing, gated, repaired, not finite input, diverged, steps since the last full update, gated in a row
+COUNTERS: Final = 8
 N_CONSTANTS: Final = 3  # spread, root of the central covariance weight, outer weight
 
 

@@ -20,7 +20,16 @@ from numba import njit, types
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from servohil.estimators.health import DIVERGED, GATED, MISSING, NOT_FINITE_INPUT, OK, REPAIRED, WRONG_SIZE
+from servohil.estimators.health import (
+    DIVERGED,
+    GATE_PATIENCE,
+    GATED,
+    MISSING,
+    NOT_FINITE_INPUT,
+    OK,
+    REPAIRED,
+    WRONG_SIZE,
+)
 from servohil.estimators.sigma_points import draw, mean
 from servohil.estimators.srukf_layout import COUNTERS, arena_offsets, work_offsets
 from servohil.estimators.triangularise import solve_transposed, triangularise
@@ -188,15 +197,20 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
             counters[3] += 1.0
             nis = 0.0
             loglik = 0.0
-        elif nis > work[w_gate + present - 1]:
+        shut = solvable and nis > work[w_gate + present - 1]
+        counters[7] = counters[7] + 1.0 if shut else (counters[7] if not solvable else 0.0)
+        if shut and counters[7] <= GATE_PATIENCE:
             status |= GATED
             counters[2] += 1.0
-        else:
+        elif solvable:
+            if shut:  # refused for so long that the estimate must be wrong, not the sensors
+                status |= REPAIRED
+                counters[3] += 1.0
             for i in range(n):
                 x[i] = scratch[i]
                 for j in range(n):
                     factor[i, j] = stack[present + i, present + j] if j >= i else 0.0
-            if present == m:
+            if present == m and not shut:
                 counters[6] = 0.0
 
     for i in range(n):

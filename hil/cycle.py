@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from servohil.control import intsmc
 from servohil.control.reference import evaluate
+from servohil.control.stopping import come_to_rest
 from servohil.drivers.codec import Kind
 from servohil.estimators import SRUKF
 from servohil.estimators.health import DIVERGED, GATED, NOT_FINITE_INPUT, REPAIRED
@@ -39,6 +40,7 @@ FILTER_TROUBLE: Final = GATED | REPAIRED | NOT_FINITE_INPUT | DIVERGED
 TO_SI: Final = np.array(cylinder.STATE_TO_SI)
 OVERRUNS_HOLD_AFTER: Final = 3  # in a row
 OVERRUNS_FAULT_AFTER: Final = 10
+STOPPING_S: Final = 0.4  # from full speed to rest in HOLD
 
 # int64 words of the cycle's own state.
 (
@@ -46,7 +48,7 @@ OVERRUNS_FAULT_AFTER: Final = 10
     COMMAND_SEQ, COMMAND_RESULT, PARAM_VERSION, LEAK_SINCE, OTHER_COMMANDERS, N_WORDS,
 ) = range(17)  # fmt: skip
 # float64 words.
-START_M, COMMAND_V, N_NUMBERS = range(3)
+START_M, START_MPS, COMMAND_V, N_NUMBERS = range(4)
 
 
 class Cycle:
@@ -267,11 +269,11 @@ class Cycle:
             return 0.0
         x, words = self.filter.x, self._words
         start = float(self._numbers[START_M])
+        entered_s = (cycle - int(words[ENTERED])) * self.dt
         if device == HOLD:
-            reference[:] = 0.0
-            reference[0] = start
+            come_to_rest(entered_s, start, float(self._numbers[START_MPS]), STOPPING_S, reference)
         else:
-            evaluate(self._profile, (cycle - int(words[ENTERED])) * self.dt, start, reference)
+            evaluate(self._profile, entered_s, start, reference)
         cylinder.jerk_model(x, self._sensing.u, self._plant_vector, self._jerk)
         error = self._error
         error[0] = x[0] - reference[0]
@@ -287,7 +289,7 @@ class Cycle:
         words = self._words
         device = int(words[DEVICE])
         words[ENTERED] = cycle
-        self._numbers[START_M] = self.filter.x[0]
+        self._numbers[[START_M, START_MPS]] = self.filter.x[:2]
         intsmc.reset(self._law)
         if device == ACTIVE:
             parameters.put_into_profile(self._tunables, self.parameters, self._profile)

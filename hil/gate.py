@@ -279,7 +279,7 @@ def _ramp(
     """FAULT_REACTION: straight to 0 V from the last permitted command, whatever the law asks; then the fault state."""
     running = state.device_state == FAULT_REACTION
     left = min(state.ramp_left, limits.ramp_periods) if running else limits.ramp_periods
-    worst = reaction == TO_RAMP or (running and state.goal == FAULT_DISABLED)
+    worst = reaction == TO_RAMP or state.goal == FAULT_DISABLED  # the goal of HOLD and ACTIVE never is
     target = FAULT_DISABLED if worst else FAULT_HOLD
     if left <= periods:
         return GateDecision(GateState(target, DISABLED, fault, 0, 0.0), 0.0, target == FAULT_HOLD, result, events)

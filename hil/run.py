@@ -109,7 +109,7 @@ def run_controller(rig: Rig, options: RunOptions, say: Say) -> RunSummary:
         say(f"bus: {port.reason}")
         if not options.listen_only:
             stack.enter_context(BusLock(port.name, "controller"))
-        script = OperatorScript(options.duration_s, options.enable and not options.listen_only, options.stop_on_fault)
+        script = OperatorScript(rig.loop.rate_hz, options.duration_s, options.enable and not options.listen_only, options.stop_on_fault)
         _stop_on_signals(script)
         ring = RingWriter(capacity_for(RING_S, rig.loop.rate_hz, checkpoint_bytes=len(cycle.arena.save())))
         stack.callback(ring.close)

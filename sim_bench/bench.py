@@ -194,7 +194,7 @@ def _lockstep(rig: Rig, options: BenchOptions, say: Say, show: Show) -> BenchLog
     dry_run(cycle)
     log = TruthLog(int((options.duration_s + 5.0) * rig.loop.rate_hz))
     node = ActuatorNode(rig, options.leak, log)
-    script = OperatorScript(options.duration_s, enable=True, stop_on_fault=True)
+    script = OperatorScript(rig.loop.rate_hz, options.duration_s, enable=True, stop_on_fault=True)
     ring = RingWriter(capacity_for(RING_S, rig.loop.rate_hz, checkpoint_bytes=len(cycle.arena.save())))
     child = TelemetryChild(telemetry_setup(cycle, ring, options.folder, SUBSCRIBER_WAIT_S), ring, options.folder)
     watch = watch_ring(options.folder, child.alive)

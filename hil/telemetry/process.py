@@ -17,7 +17,7 @@ from servohil.hil.telemetry.intake import Intake
 from servohil.hil.telemetry.publisher import JSON, Publisher, to_json
 from servohil.hil.telemetry.queryables import Desk, Documents
 from servohil.hil.telemetry.schema import descriptor_set, meta, proto_text
-from servohil.hil.telemetry.session import open_client, open_hub, stays_on_this_machine
+from servohil.hil.telemetry.session import close_session, open_client, open_hub, stays_on_this_machine
 from servohil.hil.telemetry.setup import TelemetrySetup
 
 EXIT_DONE: Final = 0
@@ -62,7 +62,7 @@ class Telemetry:
         try:
             return RecordingWriter(Path(setup.recording), about, rotate_bytes=setup.rotate_bytes)
         except OSError:
-            self.session.close()  # type: ignore[no-untyped-call]
+            close_session(self.session)
             raise
 
     def run(self) -> int:
@@ -160,9 +160,7 @@ class Telemetry:
         content = {"reason": reason, "published": self.publisher.published, "lost": self.intake.lost}
         event = {"severity": severity, "code": "end", "text": f"telemetry ends: {reason}", **content}
         self._event({**event, "last_words": self.intake.last_words})
-        self.desk.close()
-        self.publisher.close()
-        self.session.close()  # type: ignore[no-untyped-call]
+        # Files and counters first: nothing that Zenoh does with a subscriber that hangs can cost them.
         self.intake.record("close")
         recording = self.intake.recording
         result = {
@@ -183,7 +181,10 @@ class Telemetry:
         self.ring.set_counts(self._counts())
         if reason == "controller died":
             self.ring.file.unlink()  # its owner cannot any more
+        self.desk.close()
+        self.publisher.close()
         self.ring.close()
+        close_session(self.session)
 
     def _documents(self) -> Documents:
         root = self.publisher.root

@@ -158,7 +158,7 @@ class Desk:
             for known, (_, parameter) in self._parameters.items():
                 key = f"{self._root}/param/{known}"
                 if query.key_expr.intersects(zenoh.KeyExpr(key)):
-                    query.reply(key, to_json(_facts(parameter)), encoding=JSON)
+                    _say(query, key, to_json(_facts(parameter)))
             _end(query)
         elif name is None:
             _refuse(query, "a value can be set for one parameter at a time, not for a pattern of keys")
@@ -178,7 +178,7 @@ class Desk:
     def _document(self, query: zenoh.Query, _now_ns: int) -> None:
         for key, (payload, encoding) in self._documents().items():
             if query.key_expr.intersects(zenoh.KeyExpr(key)):
-                query.reply(key, payload, encoding=encoding)
+                _say(query, key, payload, encoding)
         _end(query)
 
 
@@ -218,8 +218,13 @@ def _refuse(query: zenoh.Query, error: str) -> None:
 
 def _reply(query: zenoh.Query, content: dict[str, Any]) -> None:
     """The one answer to a query on an exact key."""
-    query.reply(query.key_expr, to_json(content), encoding=JSON)
+    _say(query, str(query.key_expr), to_json(content))
     _end(query)
+
+
+def _say(query: zenoh.Query, key: str, payload: bytes, encoding: zenoh.Encoding = JSON) -> None:
+    """One of perhaps several answers. DROP: by default a reply to an asker that hangs would hold up the loop for 5 s."""
+    query.reply(key, payload, encoding=encoding, congestion_control=zenoh.CongestionControl.DROP)
 
 
 def _end(query: zenoh.Query) -> None:

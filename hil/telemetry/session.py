@@ -1,9 +1,11 @@
 """The Zenoh session: a hub on loopback by default, nothing that finds others by itself, nothing that waits for them."""
 
+import contextlib
 import ipaddress
 import json
 import re
 import socket
+import threading
 from typing import Any, Final
 
 import zenoh
@@ -12,6 +14,7 @@ from servohil.hil.telemetry.setup import TelemetryError
 
 _PORT_TRIES: Final = 5
 CONNECT_TIMEOUT_MS: Final = 3000
+CLOSE_TIMEOUT_S: Final = 1.0
 _NOT_VALID: Final = "not an endpoint, expected something like tcp/127.0.0.1:7447"
 _SOURCE_LINE: Final = re.compile(r"\s+at \S+\.rs:\d+\.?")
 
@@ -102,6 +105,19 @@ def open_client(connect: tuple[str, ...]) -> tuple[zenoh.Session, str]:
         return open_session(client_settings(connect)), connect[0]
     except zenoh.ZError as error:
         raise TelemetryError(f"Zenoh cannot connect to {', '.join(connect)}: {_reason(str(error))}") from error
+
+
+def close_session(session: zenoh.Session) -> bool:
+    """Close within CLOSE_TIMEOUT_S; False if it still goes on: a stopped subscriber holds up Zenoh's close for 10 s."""
+
+    def close() -> None:
+        with contextlib.suppress(zenoh.ZError):
+            session.close()  # type: ignore[no-untyped-call]
+
+    closing = threading.Thread(target=close, daemon=True)
+    closing.start()
+    closing.join(CLOSE_TIMEOUT_S)
+    return not closing.is_alive()
 
 
 def _reason(text: str) -> str:

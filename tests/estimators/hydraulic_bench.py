@@ -21,10 +21,10 @@ def model() -> Model:
     return Model(cylinder.f, cylinder.h, 4, 3, HEALTHY.vector(), DT, n_u=cylinder.N_INPUTS)
 
 
-def srukf(process_std: Any = PROCESS_STD, measurement_std: Any = MEASUREMENT_STD, p0: Any = P0, **options: Any) -> SRUKF:
-    return SRUKF(
-        model(), X0, p0, np.diag(np.square(process_std)), np.diag(np.square(measurement_std)), **options
-    )
+def srukf(
+    process_std: Any = PROCESS_STD, measurement_std: Any = MEASUREMENT_STD, p0: Any = P0, **options: Any
+) -> SRUKF:
+    return SRUKF(model(), X0, p0, np.diag(np.square(process_std)), np.diag(np.square(measurement_std)), **options)
 
 
 @njit

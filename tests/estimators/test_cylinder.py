@@ -86,9 +86,7 @@ def test_jerk_model_is_the_derivative_of_the_acceleration(volts, p):
     cylinder.jerk_model(X, u, p.vector(), out)
     predicted = out[0] + (out[1] if volts > 0 else out[2]) * volts
     h = 1e-5
-    ahead, behind = (
-        cylinder.acceleration(rk4(cylinder.f, X, u, p.vector(), dt), p.vector()) for dt in (h, -h)
-    )
+    ahead, behind = (cylinder.acceleration(rk4(cylinder.f, X, u, p.vector(), dt), p.vector()) for dt in (h, -h))
     assert predicted == pytest.approx((ahead - behind) / (2 * h), rel=1e-5)
     assert out[1] > 0 and out[2] > 0
 

@@ -20,7 +20,9 @@ def test_points_carry_the_mean_and_covariance_they_were_drawn_from(n, alpha, bet
     assert weights.covariance_centre == pytest.approx(lam / (n + lam) + 1 - alpha**2 + beta, abs=1e-12)
 
 
-@pytest.mark.parametrize(("alpha", "allowed"), [(0.517, False), (0.519, True), (1.93, True), (1.94, False), (1e-3, False)])
+@pytest.mark.parametrize(
+    ("alpha", "allowed"), [(0.517, False), (0.519, True), (1.93, True), (1.94, False), (1e-3, False)]
+)
 def test_the_stated_range_of_alpha_is_the_one_that_works(alpha, allowed):
     for n in (1, 4, 11):
         if allowed:

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import uuid
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,7 @@ print(model.advance([1.0], [1.0])[0], sum(model._advance.stats.cache_hits.values
 
 
 def run(folder: Path, script: str = SCRIPT) -> list[float]:
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
     (folder / "script.py").write_text(script)
     done = subprocess.run(
         [sys.executable, str(folder / "script.py")], env=environment, capture_output=True, text=True, check=False
@@ -79,23 +80,27 @@ def test_second_process_loads_from_disk_and_every_edit_is_seen(folder):
 
 
 def test_a_whole_filter_starts_from_the_cache(tmp_path):
-    script = """
+    script = (
+        f"UNIQUE = {uuid.uuid4().int % 10**9}e-9"
+        + """
 import time
 import numpy as np
-start = time.perf_counter()
 from servohil.estimators import Model, SRUKF
 def f(x, u, p, dx):
-    dx[0] = -x[0] + u[0]
+    dx[0] = -x[0] + UNIQUE * u[0]
 def h(x, u, p, y):
     y[0] = x[0]
+imported = time.process_time()
 filter = SRUKF(Model(f, h, 1, 1, [], 0.1), [0.0], [[1.0]], [[1.0]], [[1.0]])
 filter.step(np.ones(1), np.ones(1))
-print(filter.x[0], sum(filter._step.stats.cache_hits.values()), time.process_time())
+print(filter.x[0], sum(filter._step.stats.cache_hits.values()), time.process_time(), time.process_time() - imported)
 """
+    )
     cold, warm = run(tmp_path, script), run(tmp_path, script)
     assert cold[0] == warm[0]
     assert (cold[1], warm[1]) == (0, 1)  # also for functions of __main__
-    assert warm[2] < min(3.0, 0.7 * cold[2])  # CPU seconds of the process with its imports, on any machine
+    assert warm[2] < 0.7 * cold[2]  # CPU seconds of the process with its imports: most of it numba's own
+    assert warm[3] < 0.5  # CPU seconds from the model to the first estimate
 
 
 LEVEL = 1.0

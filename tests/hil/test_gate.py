@@ -149,6 +149,11 @@ def test_a_latched_fault_blocks_the_way_up_in_operating_states() -> None:
             assert got.result == RESULTS[results[letter][column]], where
 
 
+def test_a_latched_fault_keeps_disabled_whatever_the_goal() -> None:
+    stored = start("D", fault=OLD_FAULT)._replace(goal=DeviceState.ACTIVE)
+    assert step(stored).state.device_state == DeviceState.DISABLED
+
+
 @pytest.mark.parametrize(
     ("reaction", "following"),
     [("none", {"D": "D", "H": "H", "A": "A", "h": "h"}), ("hold", {"D": "D", "H": "H", "A": "H", "h": "h"}),
@@ -216,8 +221,8 @@ def test_the_ramp_is_straight_and_ends_on_time(event: Event, final: str) -> None
         commands.append(got.permitted_v)
     assert commands == pytest.approx([-8.0, -6.0, -4.0, -2.0, 0.0])
     assert commands[-1] == 0.0
-    assert got.state.device_state == LETTERS[final]
-    assert got.state.fault == event
+    assert got.state == GateState(int(LETTERS[final]), int(DeviceState.DISABLED), int(event), 0, 0.0)
+    assert got.enable is (final == "h")
 
 
 def test_the_ramp_keeps_its_time_through_skipped_periods() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import zenoh
 from fake_controller import PERIOD_NS, made_up, made_up_checkpoint, made_up_inputs
-from telemetry_rig import ROOT, FakeRig, is_running, until
+from telemetry_rig import RIG, ROOT, FakeRig, is_running, until
 
 from servohil.hil.recording.reader import Checkpoint, Cycle, Gap, Recording
 from servohil.hil.recording.tools import info
@@ -342,3 +342,27 @@ def test_several_sessions_get_ports_of_their_own() -> None:
         open_hub(sessions[0][1])
     for session, _ in sessions:
         session.close()
+
+
+def test_a_stalled_subscriber_stalls_nobody(tmp_path: Path) -> None:
+    with FakeRig(tmp_path) as rig:
+        rig.ready()
+        example = Path(__file__).resolve().parents[2] / "examples" / "subscribe_state.py"
+        stalled = subprocess.Popen(
+            [sys.executable, str(example), "--connect", rig.endpoint, "--rig", RIG],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert stalled.stdout and stalled.stdout.readline()
+        os.kill(stalled.pid, signal.SIGSTOP)
+        batches = rig.subscribe("state")
+        until(lambda: len(batches) > 250, "250 batches beside it")  # about 1.2 MB: more than its sockets hold
+        started = time.monotonic()
+        os.kill(rig.controller.pid, signal.SIGINT)
+        facts = rig.end()
+        assert time.monotonic() - started < 8.0, "Zenoh alone would wait 10 s for the stalled one"
+        stalled.kill()
+        stalled.wait()
+        stalled.stdout.close()
+    assert facts["code"] == 0 and facts["lost"] == facts["dropped"] == 0
+    assert facts["recorded"] == facts["cycles"]

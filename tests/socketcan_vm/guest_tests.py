@@ -21,7 +21,9 @@ CHECKOUT: Final = Path(__file__).resolve().parents[2]
 HIL: Final = str(Path(sys.executable).parent / "hil")
 RIG: Final = "rigs/vcan-vm.toml"
 LEAK_AT_S: Final = 12.0
-BENCH: Final = [HIL, "bench", RIG, "--rate", "50", "--duration", "20", "--leak-at", f"{LEAK_AT_S:g}"]
+BENCH: Final = [
+    HIL, "bench", RIG, "--rate", "50", "--duration", "20", "--leak-at", f"{LEAK_AT_S:g}", "--protocol-only",
+]  # fmt: skip
 
 
 def faults_of(report: dict[str, Any]) -> list[str]:
@@ -41,6 +43,22 @@ def faults_of(report: dict[str, Any]) -> list[str]:
     return faults
 
 
+def pytest_arguments() -> list[str]:
+    """For the files with tests that need vcan0; to collect the others takes the guest minutes."""
+    files = [path for path in sorted(Path("tests/drivers").glob("test_*.py")) if "mark.socketcan" in path.read_text()]
+    return [
+        *map(str, files),
+        "-m",
+        "socketcan",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "--disable-plugin-autoload",
+        "-p",
+        "pytest_timeout",
+    ]
+
+
 class Outcomes:
     """Counts what pytest did. A skip is no success here: the guest has all that these tests may miss elsewhere."""
 
@@ -55,9 +73,8 @@ class Outcomes:
 
 def contract_tests() -> bool:
     """The driver tests that need a kernel with vcan0, in this process: it has paid for the imports already."""
-    arguments = ["tests/drivers", "-m", "socketcan", "-p", "no:cacheprovider", "--durations=5", "-q"]
     outcomes = Outcomes()
-    exit_code = pytest.main(arguments, plugins=[outcomes])
+    exit_code = pytest.main(pytest_arguments(), plugins=[outcomes])
     if outcomes.skipped or not outcomes.passed:
         print(f"{outcomes.passed} passed, {outcomes.skipped} skipped: all of them must run here", flush=True)
         return False
@@ -80,11 +97,11 @@ def bench() -> bool:
 def warm_up() -> bool:
     """On the host: the same functions, compiled for the guest's processor."""
     smoke.compiled_function()
-    tests = pytest.main(["tests/drivers", "-m", "not socketcan", "-q", "-p", "no:cacheprovider"])
+    collected = pytest.main([*pytest_arguments(), "--collect-only"])  # compiles the files of tests
     with tempfile.TemporaryDirectory() as folder:
         command = [*BENCH, "--lockstep", "--json", str(Path(folder) / "report.json")]
         lockstep = subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
-    return tests == pytest.ExitCode.OK and lockstep.returncode == 0
+    return collected == pytest.ExitCode.OK and lockstep.returncode == 0
 
 
 def main() -> int:

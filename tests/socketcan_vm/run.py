@@ -76,7 +76,8 @@ def warm_up(numba_cache: Path, shared: dict[str, str]) -> None:
 def write_job(
     job: Path, command: list[str], mounts: Iterable[tuple[str, Path]], shared: dict[str, str], limit_s: int
 ) -> None:
-    """What `init` reads in the guest: the command as a script, the images' places, the cache, the time limit."""
+    """What `init` reads in the guest: the command as a script, the images' places, the time limit, and copies of the
+    checkout and of numba's cache (times in ns kept: numba's index compares them, and squashfs rounds them)."""
     environment = {
         "PATH": f"{Path(sys.executable).parent}:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
         "HOME": os.environ.get("HOME", "/root"),
@@ -93,8 +94,19 @@ def write_job(
     script.write_text("\n".join(lines) + "\n")
     script.chmod(0o755)
     (job / "mounts").write_text("".join(f"{device} {path}\n" for device, path in mounts))
-    (job / "numba_cache").write_text(shared["NUMBA_CACHE_DIR"] + "\n")
+    (job / "checkout_path").write_text(f"{CHECKOUT}\n")
+    (job / "numba_path").write_text(shared["NUMBA_CACHE_DIR"] + "\n")
+    (job / "output").mkdir()
+    shutil.copytree(CHECKOUT, job / "checkout", symlinks=True, ignore=_not_sources)
+    shutil.copytree(shared["NUMBA_CACHE_DIR"], job / "numba")
     (job / "time_limit_s").write_text(f"{limit_s}\n")
+
+
+def _not_sources(folder: str, names: list[str]) -> set[str]:
+    """Of the checkout's own entries, what a guest has no use for: environment, caches, history, recordings."""
+    if Path(folder) != CHECKOUT:
+        return set()
+    return {name for name in names if (name.startswith(".") and name != ".ci") or name in {"runs", "build", "dist"}}
 
 
 def qemu_command(kernel: Path, initramfs: Path, images: list[Path], job: Path) -> list[str]:
@@ -195,8 +207,8 @@ def main() -> int:
         code = run_guest(qemu, arguments.time_limit)
         last_output = folder / "last-output"
         shutil.rmtree(last_output, ignore_errors=True)
-        shutil.copytree(job, last_output)
-    print(f"socketcan_vm: {time.monotonic() - start:.0f} s in all, guest files in {last_output}", flush=True)
+        shutil.copytree(Path(job) / "output", last_output)
+    print(f"socketcan_vm: {time.monotonic() - start:.0f} s in all, what the guest wrote: {last_output}", flush=True)
     return code
 
 
