@@ -66,7 +66,7 @@ def _triangular(factor: Matrix) -> Matrix:
     rows, columns = factor.shape
     padded = np.zeros((rows, max(rows, columns)))
     padded[:, :columns] = factor
-    lower = np.linalg.qr(padded.T, mode="r").T
+    lower = np.asarray(np.linalg.qr(padded.T, mode="r")).T
     signs = np.where(np.diag(lower) < 0.0, -1.0, 1.0)
     return np.tril(lower * signs)
 

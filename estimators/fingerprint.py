@@ -20,7 +20,7 @@ from numba.core.dispatcher import Dispatcher
 KNOWN_PACKAGES: Final = ("numpy", "math", "cmath", "builtins", "numba")
 
 
-class NotIdentifiable(Exception):
+class NotIdentifiableError(Exception):
     """A function refers to something whose value cannot be hashed (an object, a class, a C function pointer)."""
 
 
@@ -31,7 +31,7 @@ def fingerprint(text: str, function: FunctionType) -> tuple[str, list[Dispatcher
         32 hex digits, and the compiled functions met on the way, callees before callers.
 
     Raises:
-        NotIdentifiable: something the function refers to has no reliable identity.
+        NotIdentifiableError: something the function refers to has no reliable identity.
     """
     walk = _Walk()
     walk.add(f"{sys.implementation.cache_tag} numba {numba.__version__} numpy {np.__version__} {text}")
@@ -43,6 +43,7 @@ class _Walk:
     def __init__(self) -> None:
         self.digest = hashlib.sha256()
         self.seen: dict[int, tuple[int, Any]] = {}  # keeps the objects alive, so that ids stay unique
+        self.modules: set[tuple[int, frozenset[str]]] = set()
         self.dispatchers: list[Dispatcher] = []
 
     def add(self, text: str) -> None:
@@ -50,15 +51,11 @@ class _Walk:
 
     def value(self, value: Any, names: frozenset[str]) -> None:
         """Hash one value; `names` are the attributes its user mentions, which is all that matters of a module."""
-        if (
-            value is None
-            or isinstance(value, bool | int | float | complex | str | bytes)
-            and not isinstance(value, Enum)
-        ):
-            self.add(f"{type(value).__name__} {value!r}")
-        elif isinstance(value, Enum):
+        if isinstance(value, Enum):
             self.add(f"{type(value).__qualname__}.{value.name}")
             self.value(value.value, names)
+        elif value is None or isinstance(value, bool | int | float | complex | str | bytes):
+            self.add(f"{type(value).__name__} {value!r}")
         elif isinstance(value, tuple | list):
             self.add(f"{type(value).__qualname__} of {len(value)}")
             for item in value:
@@ -80,12 +77,13 @@ class _Walk:
             for member in value:
                 self.value(member, names)
         else:
-            raise NotIdentifiable(f"{value!r} of type {type(value).__qualname__}")
+            raise NotIdentifiableError(f"{value!r} of type {type(value).__qualname__}")
 
     def module(self, module: ModuleType, names: frozenset[str]) -> None:
         self.add(f"module {module.__name__}")
-        if module.__name__.partition(".")[0] in KNOWN_PACKAGES:
+        if module.__name__.partition(".")[0] in KNOWN_PACKAGES or (id(module), names) in self.modules:
             return
+        self.modules.add((id(module), names))  # modules may import each other
         for name in sorted(names):
             if hasattr(module, name):
                 self.add(name)

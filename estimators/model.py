@@ -180,12 +180,13 @@ def _labels(name: str, value: Sequence[str] | None, n: int, default: tuple[str, 
 
 def _check_fills(name: str, function: ModelFunction, n: int, n_u: int, p: Vector, size: int) -> None:
     """Run the plain function twice on differently filled outputs: what it writes must not depend on what was there."""
+    call: Callable[..., object] = function
     results = []
     for old in (1.0, -2.0):
         out = np.full(size, old)
         try:
             with np.errstate(all="ignore"):
-                returned = function(np.linspace(0.25, 0.75, n), np.full(n_u, 0.5), p.copy(), out)
+                returned: object = call(np.linspace(0.25, 0.75, n), np.full(n_u, 0.5), p.copy(), out)
         except (ArithmeticError, ValueError) as error:
             if isinstance(error, ValueError) and "math domain" not in str(error):
                 raise ModelError(f"{name} failed at a trial state: {error}") from error

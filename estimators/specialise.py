@@ -19,7 +19,7 @@ import numba
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
 
-from servohil.estimators.fingerprint import NotIdentifiable, fingerprint
+from servohil.estimators.fingerprint import NotIdentifiableError, fingerprint
 
 _compiled: dict[str, Any] = {}
 
@@ -48,7 +48,7 @@ def specialise(
     helpers: list[Dispatcher] = []
     try:
         key, helpers = fingerprint(f"{signature} {note}", function)
-    except NotIdentifiable:
+    except NotIdentifiableError:
         key = ""
     if key in _compiled:
         return _compiled[key]
@@ -78,7 +78,7 @@ def _forget_stale(helpers: list[Dispatcher]) -> None:
     """
     for helper in helpers:
         ours = helper.py_func.__module__.partition(".")[0] == "servohil"
-        if not ours and not isinstance(helper._cache, NullCache):
+        if not ours and not isinstance(vars(helper)["_cache"], NullCache):
             helper.recompile()
 
 

@@ -75,7 +75,8 @@ class SRUKF:
         self.arena = np.zeros(self.arena_size(n, m)) if arena is None else _arena(arena, self.arena_size(n, m))
         start = arena_offsets(n, m)
         self._x = self.arena[start[0] : start[1]]
-        self._factor, self._q = (self.arena[a:b].reshape(n, n) for a, b in zip(start[1:3], start[2:4], strict=True))
+        self._factor = self.arena[start[1] : start[2]].reshape(n, n)
+        self._q = self.arena[start[2] : start[3]].reshape(n, n)
         self._r = self.arena[start[3] : start[4]].reshape(m, m)
         self._innovation = self.arena[start[4] : start[5]]
         self._s = self.arena[start[5] : start[6]].reshape(m, m)
@@ -196,7 +197,7 @@ class SRUKF:
 
     @property
     def nis(self) -> float:
-        """Normalised innovation squared over the channels present; 0 with none, and where the correction was refused."""
+        """Normalised innovation squared over the channels present; 0 with none and where it is meaningless."""
         return float(self._scores[0])
 
     @property

@@ -12,7 +12,7 @@ estimate as it was. The sizes are constants of the compiled step,
 so that the compiler unrolls the loops.
 """
 
-from math import isfinite, isinf, log, pi, sqrt
+from math import isfinite, isinf, isnan, log, pi, sqrt
 from typing import Any, Final
 
 import numpy as np
@@ -90,7 +90,7 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     present = 0
     for value in y:
         usable = usable and not isinf(value)
-        if value == value:
+        if not isnan(value):
             present += 1
     if not usable:
         counters[4] += 1.0
@@ -153,7 +153,7 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
             s[c, d] = total
             s[d, c] = total
         arena[a_innovation + c] = y[c] - mean_y[c]
-        if y[c] == y[c]:
+        if not isnan(y[c]):
             e[columns] = y[c] - mean_y[c]
             for i in range(points_n):
                 stack[i, columns] = (root_centre if i == 0 else root_outer) * (outputs[i, c] - mean_y[c])

@@ -11,8 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servohil.control import intsmc
-from servohil.control.reference import evaluate
-from servohil.control.stopping import come_to_rest
 from servohil.drivers.codec import Kind
 from servohil.estimators import SRUKF
 from servohil.estimators.health import DIVERGED, GATED, NOT_FINITE_INPUT, REPAIRED
@@ -23,32 +21,30 @@ from servohil.hil.arena import Arena
 from servohil.hil.commands import Command, Result
 from servohil.hil.config import Rig
 from servohil.hil.control_word import control_word
+from servohil.hil.estimate_view import EstimateView
 from servohil.hil.events import SensorView
 from servohil.hil.gate import POWER_UP, DeviceState, Event, GateState, gate, gate_limits
-from servohil.hil.inputs import BUS_DOWN, BUS_OFF
+from servohil.hil.inputs import InputsHeader
 from servohil.hil.reactions import load_reactions
 from servohil.hil.sensing import Sensing
-from servohil.hil.snapshot import FIELDS, SNAPSHOT
+from servohil.hil.snapshot import SnapshotRecord
+from servohil.hil.tracking import Tracking
 
 NS_PER_S: Final = 1_000_000_000
-PA_PER_MPA: Final = 1e6
 LONGEST_PREDICTION: Final = 200  # periods; after a longer gap the filter starts anew from the next measurement
 HOLD, ACTIVE, INIT = int(DeviceState.HOLD), int(DeviceState.ACTIVE), int(DeviceState.INIT)
 SENSOR_STALE, SECOND_COMMANDER, LEAK_ALARM = int(Event.SENSOR_STALE), int(Event.SECOND_COMMANDER), int(Event.LEAK_ALARM)
 BUS_OFF_EVENT: Final = int(Event.BUS_OFF)
+OWN_ID: Final = int(Kind.OWN_ID)
 FILTER_TROUBLE: Final = GATED | REPAIRED | NOT_FINITE_INPUT | DIVERGED
-TO_SI: Final = np.array(cylinder.STATE_TO_SI)
 OVERRUNS_HOLD_AFTER: Final = 3  # in a row
 OVERRUNS_FAULT_AFTER: Final = 10
-STOPPING_S: Final = 0.4  # from full speed to rest in HOLD
 
 # int64 words of the cycle's own state.
 (
-    DEVICE, GOAL, FAULT, RAMP_LEFT, FIRST_ACTIVE, ENTERED, STARTED, OVERRUNS, OVERRUNS_IN_A_ROW, REJECTED, REPAIRS,
+    DEVICE, GOAL, FAULT, RAMP_LEFT, FIRST_ACTIVE, STARTED, OVERRUNS, OVERRUNS_IN_A_ROW, REJECTED, REPAIRS,
     COMMAND_SEQ, COMMAND_RESULT, PARAM_VERSION, LEAK_SINCE, OTHER_COMMANDERS, N_WORDS,
-) = range(17)  # fmt: skip
-# float64 words.
-START_M, START_MPS, COMMAND_V, N_NUMBERS = range(4)
+) = range(16)  # fmt: skip
 
 
 class Cycle:
@@ -74,45 +70,36 @@ class Cycle:
             rig, receive=[*sensors, command] if listen_only else sensors, transmit=[] if listen_only else [command]
         )
         codec_f8, codec_i8 = self.codec.state_size
-        profile = assemble.build_profile(rig).vector()
         self.arena = Arena(
             f8={
-                "profile": profile.size,
+                "motion": Tracking.motion_size(rig),
                 "codec": codec_f8,
                 "filter": SRUKF.arena_size(cylinder.N_STATES, cylinder.N_OUTPUTS),
                 "monitor": residual_monitor.ARENA_SIZE,
                 "law": intsmc.INTSMC_STATE_SIZE,
                 "parameters": parameters.N_PARAMETERS,
-                "numbers": N_NUMBERS,
+                "command": 1,
             },
             i8={"codec": codec_i8, "words": N_WORDS},
         )
         self._words = self.arena.i8["words"]
-        self._numbers = self.arena.f8["numbers"]
+        self._command_v = self.arena.f8["command"]
         self.codec.attach(self.arena.f8["codec"], self.arena.i8["codec"])
+        self.codec.reset()
         self.filter = assemble.build_filter(rig, self.arena.f8["filter"])
         self.monitor = assemble.build_monitor(rig, self.arena.f8["monitor"])
         self._reactions = load_reactions(rig.leakage.reaction)
-        self._profile = self.arena.f8["profile"]
-        self._profile[:] = profile
         self._bounds = assemble.build_bounds(rig)
         self._sensing = Sensing(rig, self.codec)
-        self._law = self.arena.f8["law"]
-        self._gains = assemble.build_gains(rig).vector()
+        self._estimate_view = EstimateView(self.filter)
+        self._tracking = Tracking(rig, self.arena.f8["law"], self.arena.f8["motion"])
         self.parameters = parameters.parameter_table(rig)
         self._tunables = self.arena.f8["parameters"]
         self._tunables[: len(self.parameters)] = [entry.value for entry in self.parameters]
         self._apply_parameters()
-        self._plant_vector = rig.cylinder.parameters().vector()
-        self._record = np.zeros(1, dtype=SNAPSHOT)
-        self.snapshot: Any = self._record[0]
-        self.snapshot_bytes: memoryview = self._record.view(np.uint8).data
-        n_integers = sum(kind == "<i8" for _, kind, _, _ in FIELDS)
-        self._snapshot_i8 = self._record.view(np.int64)[:n_integers]
-        self._snapshot_f8 = self._record.view(np.float64)[n_integers:]
-        self._reference = np.zeros(4)
-        self._error = np.zeros(3)
-        self._jerk = np.zeros(3)
+        self._record = SnapshotRecord()
+        self.snapshot = self._record.row
+        self.snapshot_bytes = self._record.bytes
         self._residuals = np.zeros(2)
         self._variances = np.ones(2)
         self._missing = np.full(cylinder.N_OUTPUTS, nan)
@@ -138,30 +125,32 @@ class Cycle:
             frames: (>= n_frames,) of FRAME, the frames drained in this cycle.
         """
         words = self._words
-        cycle, t_ns, skipped = int(header["cycle"]), int(header["t_ns"]), int(header["skipped"])
+        inputs = InputsHeader._make(header.item())
+        skipped, t_ns = inputs.skipped, inputs.t_ns
         words[OVERRUNS] += skipped > 0
         words[OVERRUNS_IN_A_ROW] = words[OVERRUNS_IN_A_ROW] + 1 if skipped else 0
-        words[REJECTED] += self.codec.receive(frames, int(header["n_frames"]), t_ns)
+        words[REJECTED] += self.codec.receive(frames, inputs.n_frames, t_ns)
         sensed = self._sensing.read(t_ns, self._valve_in_force())
         status = self._estimate(sensed.complete, skipped)
-        command, result = self._operator(header)
-        found = self._events(header, sensed, status, skipped)
-        if self._diagnose(int(words[DEVICE]), sensed.complete, skipped, t_ns):
+        command, result = self._operator(inputs)
+        found = self._events(inputs, sensed, status)
+        device = int(words[DEVICE])
+        if self._diagnose(device, sensed.complete, skipped, t_ns):
             found |= LEAK_ALARM
-        requested = self._control(int(words[DEVICE]), cycle)
+        x = self._estimate_view.x
+        requested = self._tracking.command(device, inputs.cycle, x, self._sensing.u, self._limits.command_max_v)
         ready = bool(words[STARTED]) and not found & SENSOR_STALE
         decision = gate(
             self._gate_state(), found, command, requested, ready, self._reactions, self._limits, 1 + skipped
         )
-        before = int(words[DEVICE])
         self._keep(decision.state)
-        if int(words[DEVICE]) != before:
-            self._enter(cycle)
-        if int(header["command_seq"]):
-            words[COMMAND_SEQ] = header["command_seq"]
+        if decision.state.device_state != device:
+            self._enter(inputs.cycle)
+        if inputs.command_seq:
+            words[COMMAND_SEQ] = inputs.command_seq
             words[COMMAND_RESULT] = decision.result if result == Result.NONE else result
-        frame = b"" if self.listen_only else self._encode(decision.permitted_v, int(words[DEVICE]))
-        self._fill(header, sensed, status, decision.events, requested, decision.permitted_v)
+        frame = b"" if self.listen_only else self._encode(decision.permitted_v, decision.state.device_state)
+        self._fill(inputs, sensed, status, decision.events, requested)
         return frame
 
     def zero_frame(self) -> bytes:
@@ -178,7 +167,7 @@ class Cycle:
         if self.listen_only:
             observed = float(self.codec.values[self._observed_slot])
             return observed if isfinite(observed) else 0.0
-        return float(self._numbers[COMMAND_V])
+        return float(self._command_v[0])
 
     def _estimate(self, complete: bool, skipped: int) -> int:
         """Predict over the past interval and the skipped ones, correct with what came; returns the filter's status."""
@@ -198,11 +187,11 @@ class Cycle:
         words[REPAIRS] += (status & FILTER_TROUBLE) != 0
         return status
 
-    def _operator(self, header: Any) -> tuple[int, Result]:
+    def _operator(self, inputs: InputsHeader) -> tuple[int, Result]:
         """What of the operator's command concerns the gate, and the result of what does not."""
-        code = int(header["command_code"])
+        code = inputs.command_code
         if code == Command.SET_PARAM:
-            index, value = int(header["command_index"]), float(header["command_value"])
+            index, value = inputs.command_index, inputs.command_value
             result = parameters.change(self._tunables, index, value, self.parameters, self.rig)
             if result == Result.ACCEPTED:
                 self._words[PARAM_VERSION] += 1
@@ -220,7 +209,7 @@ class Cycle:
         limits = self.rig.limits
         self.monitor.arena[residual_monitor.THRESHOLD_SIGMA] = values[parameters.THRESHOLD_SIGMA]
         self.monitor.arena[residual_monitor.CUSUM_THRESHOLD] = values[parameters.CUSUM_THRESHOLD]
-        self._gains[intsmc.SWITCHING] = values[parameters.SWITCHING_GAIN]
+        self._tracking.gains[intsmc.SWITCHING] = values[parameters.SWITCHING_GAIN]
         self._limits = gate_limits(
             float(values[parameters.COMMAND_MAX]), limits.command_slew_v_per_s, limits.ramp_down_s, self.dt
         )
@@ -230,18 +219,17 @@ class Cycle:
         self.arena.restore(checkpoint)
         self._apply_parameters()
 
-    def _events(self, header: Any, sensed: SensorView, status: int, skipped: int) -> int:
+    def _events(self, inputs: InputsHeader, sensed: SensorView, status: int) -> int:
         words = self._words
         found = events.loop_events(int(words[OVERRUNS_IN_A_ROW]), OVERRUNS_HOLD_AFTER, OVERRUNS_FAULT_AFTER)
         if words[STARTED]:
-            found |= events.sensor_events(sensed, self._bounds, skipped * self.period_ns)
-            found |= events.estimate_events(float(self.filter.x[1]), self._bounds, bool(status & DIVERGED))
-        others = int(self.codec.counters[:, Kind.OWN_ID].sum())
+            found |= events.sensor_events(sensed, self._bounds, inputs.skipped * self.period_ns)
+            found |= events.estimate_events(float(self._estimate_view.x[1]), self._bounds, bool(status & DIVERGED))
+        others = 0 if self.listen_only else int(self.codec.counters[self._command_index, OWN_ID])
         if others > words[OTHER_COMMANDERS]:
             words[OTHER_COMMANDERS] = others
             found |= SECOND_COMMANDER
-        flags = int(header["bus_flags"])
-        if flags & BUS_OFF or flags & BUS_DOWN:
+        if inputs.bus_flags:
             found |= BUS_OFF_EVENT
         return found
 
@@ -250,49 +238,22 @@ class Cycle:
         words, monitor = self._words, self.monitor
         moving = device == ACTIVE or (self.listen_only and bool(words[STARTED]))
         residuals, variances = self._residuals, self._variances
-        residuals[:] = nan
         if complete and not skipped:
-            residuals[:] = self.filter.innovation[1:]
-            variances[:] = np.diagonal(self.filter.S)[1:]
-            residuals *= PA_PER_MPA
-            variances *= PA_PER_MPA * PA_PER_MPA
+            self._estimate_view.pressure_residuals(residuals, variances)
+        else:
+            residuals[:] = nan
         alarm = monitor.step(residuals, variances, moving)
         if alarm and words[LEAK_SINCE] < 0:
             words[LEAK_SINCE] = t_ns
         return bool(alarm)
 
-    def _control(self, device: int, cycle: int) -> float:
-        """What the law asks for, V; 0.0 where no law runs. Fills the reference."""
-        reference = self._reference
-        if device not in (HOLD, ACTIVE):
-            reference[:] = nan
-            return 0.0
-        x, words = self.filter.x, self._words
-        start = float(self._numbers[START_M])
-        entered_s = (cycle - int(words[ENTERED])) * self.dt
-        if device == HOLD:
-            come_to_rest(entered_s, start, float(self._numbers[START_MPS]), STOPPING_S, reference)
-        else:
-            evaluate(self._profile, entered_s, start, reference)
-        cylinder.jerk_model(x, self._sensing.u, self._plant_vector, self._jerk)
-        error = self._error
-        error[0] = x[0] - reference[0]
-        error[1] = x[1] - reference[1]
-        error[2] = cylinder.acceleration(x, self._plant_vector) - reference[2]
-        jerk, limit = self._jerk, self._limits.command_max_v
-        return float(
-            intsmc.intsmc_step(self._law, self._gains, error, reference[3], jerk[0], jerk[1], jerk[2], limit, self.dt)
-        )
-
     def _enter(self, cycle: int) -> None:
         """The device state changed: every entry starts at the measured position, at rest, with a fresh law."""
         words = self._words
         device = int(words[DEVICE])
-        words[ENTERED] = cycle
-        self._numbers[[START_M, START_MPS]] = self.filter.x[:2]
-        intsmc.reset(self._law)
+        self._tracking.enter(self._estimate_view.x, cycle)
         if device == ACTIVE:
-            parameters.put_into_profile(self._tunables, self.parameters, self._profile)
+            parameters.put_into_profile(self._tunables, self.parameters, self._tracking.profile)
             if words[FIRST_ACTIVE] < 0:
                 words[FIRST_ACTIVE] = cycle
 
@@ -303,31 +264,30 @@ class Cycle:
             int(words[GOAL]),
             int(words[FAULT]),
             int(words[RAMP_LEFT]),
-            float(self._numbers[COMMAND_V]),
+            float(self._command_v[0]),
         )
 
     def _keep(self, state: GateState) -> None:
         words = self._words
-        words[DEVICE], words[GOAL], words[FAULT], words[RAMP_LEFT], self._numbers[COMMAND_V] = state
+        words[DEVICE], words[GOAL], words[FAULT], words[RAMP_LEFT], self._command_v[0] = state
 
-    def _fill(
-        self, header: Any, sensed: SensorView, status: int, found: int, requested: float, permitted: float
-    ) -> None:
-        """Write this cycle's Snapshot, integers first, in the order of `snapshot.FIELDS`."""
-        words, monitor, filter_ = self._words, self.monitor, self.filter
-        cycle, first_active = int(header["cycle"]), int(words[FIRST_ACTIVE])
-        active_t_ns = (cycle - first_active) * self.period_ns if first_active >= 0 else -1
-        self._snapshot_i8[:] = (
-            cycle, header["t_ns"], active_t_ns, words[DEVICE], found, words[FAULT], header["skipped"], words[OVERRUNS],
-            header["lateness_ns"], header["exec_ns"], header["n_frames"], words[REJECTED], header["tx_failed"],
-            status, words[REPAIRS], monitor.alarm, monitor.channels, words[LEAK_SINCE],
-            words[COMMAND_SEQ], words[COMMAND_RESULT], words[PARAM_VERSION],
+    def _fill(self, inputs: InputsHeader, sensed: SensorView, status: int, found: int, requested: float) -> None:
+        """Write this cycle's Snapshot, in the order of `snapshot.FIELDS`."""
+        monitor, tracking, record = self.monitor, self._tracking, self._record
+        (
+            device, _, fault, _, first_active, _, overruns, _, rejected, repairs,
+            command_seq, command_result, param_version, leak_since, _,
+        ) = self._words.tolist()  # fmt: skip
+        active_t_ns = (inputs.cycle - first_active) * self.period_ns if first_active >= 0 else -1
+        record.integers[:] = (
+            inputs.cycle, inputs.t_ns, active_t_ns, device, found, fault, inputs.skipped, overruns,
+            inputs.lateness_ns, inputs.exec_ns, inputs.n_frames, rejected, inputs.tx_failed, status, repairs,
+            monitor.alarm, monitor.channels, leak_since, command_seq, command_result, param_version,
         )  # fmt: skip
-        x, reference = filter_.x * TO_SI, self._reference
-        std = np.sqrt(np.diagonal(filter_.P)) * TO_SI
-        self._snapshot_f8[:] = (
-            sensed.position_m, sensed.pressure_a_pa, sensed.pressure_b_pa, sensed.supply_pa, sensed.tank_pa,
-            sensed.spool_v, *x, *std, filter_.nis, *reference, self._law[intsmc.SIGMA], requested, permitted,
-            *self._residuals, monitor.threshold_a_pa, monitor.threshold_b_pa, monitor.cusum_a, monitor.cusum_b,
+        record.measured[:] = sensed[:6]
+        self._estimate_view.to_si(record.estimate, record.deviation)
+        record.rest[:] = (
+            self._estimate_view.nis, *tracking.reference.tolist(), tracking.sigma, requested, self._command_v[0],
+            *self._residuals.tolist(), monitor.threshold_a_pa, monitor.threshold_b_pa, monitor.cusum_a, monitor.cusum_b,
             monitor.cusum_threshold,
         )  # fmt: skip

@@ -25,6 +25,26 @@ HEADER_FIELDS: Final[tuple[tuple[str, str, str], ...]] = (
     ("command_index", "<i8", "parameter index of SET_PARAM"),
     ("command_value", "<f8", "parameter value of SET_PARAM, SI"),
 )
+
+
+class InputsHeader(NamedTuple):
+    """The header as plain numbers: `InputsHeader._make(header.item())` costs less than reading three fields by name."""
+
+    cycle: int
+    t_ns: int
+    skipped: int
+    lateness_ns: int
+    exec_ns: int
+    n_frames: int
+    tx_failed: int
+    bus_flags: int
+    command_seq: int
+    command_code: int
+    command_index: int
+    command_value: float
+
+
+assert InputsHeader._fields == tuple(name for name, _, _ in HEADER_FIELDS)
 INPUTS_HEADER: Final = np.dtype([(name, kind) for name, kind, _ in HEADER_FIELDS])
 HEADER_BYTES: Final = INPUTS_HEADER.itemsize
 FRAME_BYTES: Final = FRAME.itemsize

@@ -137,7 +137,7 @@ class RealtimeLoop:
             if operator is not None:
                 header["command_seq"] = operator.seq
                 header["command_code"] = operator.code
-                header["command_index"] = operator.index
+                header["command_index"] = operator.parameter
                 header["command_value"] = operator.value
 
     def _send_zero(self) -> None:

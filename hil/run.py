@@ -109,7 +109,8 @@ def run_controller(rig: Rig, options: RunOptions, say: Say) -> RunSummary:
         say(f"bus: {port.reason}")
         if not options.listen_only:
             stack.enter_context(BusLock(port.name, "controller"))
-        script = OperatorScript(rig.loop.rate_hz, options.duration_s, options.enable and not options.listen_only, options.stop_on_fault)
+        enable = options.enable and not options.listen_only
+        script = OperatorScript(rig.loop.rate_hz, options.duration_s, enable, options.stop_on_fault)
         _stop_on_signals(script)
         ring = RingWriter(capacity_for(RING_S, rig.loop.rate_hz, checkpoint_bytes=len(cycle.arena.save())))
         stack.callback(ring.close)
@@ -118,7 +119,6 @@ def run_controller(rig: Rig, options: RunOptions, say: Say) -> RunSummary:
         )
         endpoint = child.wait_ready()
         say(f"telemetry: {endpoint}, process {child.pid}")
-        discard_old_frames(port)
         steps = make_realtime(rig.loop.priority)
         for step in steps:
             if not step.ok:
@@ -126,6 +126,7 @@ def run_controller(rig: Rig, options: RunOptions, say: Say) -> RunSummary:
         loop = RealtimeLoop(
             cycle, port, ring, Pacer(rig.loop.period_ns, rig.loop.phase), script, not options.listen_only, child.alive
         )
+        discard_old_frames(port)
         result = loop.run()
         telemetry = child.finish(final_words(result))
         summary = RunSummary(result, telemetry, steps, port.name, port.interface, endpoint)

@@ -34,25 +34,18 @@ class Sensing:
     def read(self, t_ns: int, last_command_v: float) -> SensorView:
         """The measurements of this cycle at `t_ns`; `last_command_v` stands in for a spool that is not measured."""
         codec = self._codec
-        values, fresh = codec.values, codec.fresh
+        values, fresh = codec.values.tolist(), codec.fresh.tolist()
+        last_good_ns, bad_in_a_row = codec.last_good_ns.tolist(), codec.bad_in_a_row.tolist()
         slots, messages = self._slots, self._messages
-        position = float(values[slots[0]]) if fresh[messages[0]] else nan
-        pressure_a = float(values[slots[1]]) if fresh[messages[1]] else nan
-        pressure_b = float(values[slots[2]]) if fresh[messages[2]] else nan
-        supply = float(values[slots[3]])
-        tank = float(values[slots[4]])
-        spool = float(values[slots[5]]) if fresh[messages[5]] else nan
-        y, u = self.y, self.u
-        y[0] = position
-        y[1] = pressure_a / PA_PER_MPA
-        y[2] = pressure_b / PA_PER_MPA
-        u[0] = spool if isfinite(spool) else last_command_v
-        u[1] = supply
-        u[2] = tank
+        position = values[slots[0]] if fresh[messages[0]] else nan
+        pressure_a = values[slots[1]] if fresh[messages[1]] else nan
+        pressure_b = values[slots[2]] if fresh[messages[2]] else nan
+        supply = values[slots[3]]
+        tank = values[slots[4]]
+        spool = values[slots[5]] if fresh[messages[5]] else nan
+        self.y[:] = position, pressure_a / PA_PER_MPA, pressure_b / PA_PER_MPA
+        self.u[:] = (spool if isfinite(spool) else last_command_v), supply, tank
         complete = isfinite(position + pressure_a + pressure_b + supply + tank)
-        oldest = 0
-        worst = 0
-        for index in self._needed:
-            oldest = max(oldest, t_ns - int(codec.last_good_ns[index]))
-            worst = max(worst, int(codec.bad_in_a_row[index]))
+        oldest = t_ns - min(last_good_ns[index] for index in self._needed)
+        worst = max(bad_in_a_row[index] for index in self._needed)
         return SensorView(position, pressure_a, pressure_b, supply, tank, spool, complete, oldest, worst)

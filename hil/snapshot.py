@@ -4,9 +4,10 @@ Deterministic in the cycle's state and inputs; copied byte for byte into the rin
 into the Protobuf `State` message. NaN in a measured field means: no valid frame brought this signal in this cycle.
 """
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 # (name, type, unit, meaning). The order is the record's layout; append only, and raise SNAPSHOT_VERSION.
 FIELDS: Final[tuple[tuple[str, str, str, str], ...]] = (
@@ -64,3 +65,24 @@ FIELDS: Final[tuple[tuple[str, str, str, str], ...]] = (
 
 SNAPSHOT_VERSION: Final = 1
 SNAPSHOT = np.dtype([(name, kind) for name, kind, _, _ in FIELDS])
+
+
+class SnapshotRecord:
+    """One Snapshot in memory of its own: `row` by field name, and views of its parts for fast writing.
+
+    `integers` (21,), then `measured` (6,), `estimate` (4,), `deviation` (4,) and `rest`, all in the order of FIELDS.
+    """
+
+    def __init__(self) -> None:
+        record = np.zeros(1, dtype=SNAPSHOT)
+        names = [name for name, _, _, _ in FIELDS]
+        n_integers = sum(kind == "<i8" for _, kind, _, _ in FIELDS)
+        estimate, deviation, rest = (names.index(n) for n in ("est_position_m", "std_position_m", "nis"))
+        words = record.view(np.float64)
+        self.row: Any = record[0]
+        self.bytes: memoryview = record.view(np.uint8).data
+        self.integers: NDArray[np.int64] = record.view(np.int64)[:n_integers]
+        self.measured: NDArray[np.float64] = words[n_integers:estimate]
+        self.estimate: NDArray[np.float64] = words[estimate:deviation]
+        self.deviation: NDArray[np.float64] = words[deviation:rest]
+        self.rest: NDArray[np.float64] = words[rest:]

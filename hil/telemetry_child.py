@@ -10,7 +10,7 @@ from typing import Any, Final
 from servohil.hil.cycle import Cycle
 from servohil.hil.gate import Event
 from servohil.hil.provenance import provenance
-from servohil.hil.ring import Kind, RingWriter
+from servohil.hil.ring import RingWriter
 from servohil.hil.telemetry.setup import Parameter, TelemetryError, TelemetrySetup
 
 READY_TIMEOUT_S: Final = 30.0
@@ -97,12 +97,9 @@ class TelemetryChild:
 
     def finish(self, last_words: bytes) -> dict[str, Any]:
         """Send the END record, wait for the process to close its files; returns its counters (empty if it died)."""
-        deadline = time.monotonic() + FINISH_TIMEOUT_S
-        while not self._ring.write(Kind.END, last_words) and self.alive() and time.monotonic() < deadline:
-            time.sleep(POLL_S)
-        self._ring.ask_stop()
+        self._ring.write_end(last_words, FINISH_TIMEOUT_S if self.alive() else 0.0)
         try:
-            self._process.wait(max(0.1, deadline - time.monotonic()))
+            self._process.wait(FINISH_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self._process.terminate()
             self._process.wait()

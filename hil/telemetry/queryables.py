@@ -223,8 +223,8 @@ def _reply(query: zenoh.Query, content: dict[str, Any]) -> None:
 
 
 def _say(query: zenoh.Query, key: str, payload: bytes, encoding: zenoh.Encoding = JSON) -> None:
-    """One of perhaps several answers. DROP: by default a reply to an asker that hangs would hold up the loop for 5 s."""
-    query.reply(key, payload, encoding=encoding, congestion_control=zenoh.CongestionControl.DROP)
+    """One of perhaps several answers."""
+    query.reply(key, payload, encoding=encoding)
 
 
 def _end(query: zenoh.Query) -> None:

@@ -49,8 +49,9 @@ def _common() -> dict[str, Any]:
                 "tx": {
                     "queue": {
                         "congestion_control": {"drop": {"wait_before_drop": 0}},
-                        # Room for the backlog of a hiccup: 16 batches of 64 kB.
-                        "size": {"data_high": 16, "data": 4},
+                        # Room for a hiccup, 16 batches of 64 kB. Replies share `data` and would wait for room, so it
+                        # must not fill before the link to an asker that hangs is given up, after 10 s.
+                        "size": {"data_high": 16, "data": 16},
                     }
                 }
             },

@@ -11,6 +11,8 @@ from servohil.drivers.frame import FRAME, FRAME_STRUCT
 BENCH_DBC = Path(__file__).parents[2] / "rigs" / "bench.dbc"
 SENSOR_MESSAGES = ("Position", "PressureAB", "PressureSupplyTank", "ValveStatus")
 COMMAND = "ValveCommand"
+POSITION_ID = 0x121
+PRESSURE_ID = 0x122
 PROTECTIONS = {
     name: MessageProtection(1_000_000, "profile2", data_ids(17 + k))
     for k, name in enumerate((*SENSOR_MESSAGES, COMMAND))
@@ -32,3 +34,22 @@ def frames_of(*records: tuple[int, bytes], flags: int = 0, age_ns: int = 0, dlc:
         length = len(data) if dlc is None else dlc
         FRAME_STRUCT.pack_into(frames.view(np.uint8).data, k * FRAME.itemsize, can_id, length, flags, 0, age_ns, data)
     return frames
+
+
+def sensors(node: Codec, position_m: float = 0.1, pressure_pa: float = 1e7) -> list[tuple[int, bytes]]:
+    return [
+        (POSITION_ID, node.encode(node.message_index("Position"), np.array([position_m]))),
+        (PRESSURE_ID, node.encode(node.message_index("PressureAB"), np.array([pressure_pa, pressure_pa / 2]))),
+    ]
+
+
+def give(codec: Codec, *records: tuple[int, bytes], now_ns: int = 0, **frame: int) -> int:
+    return codec.receive(frames_of(*records, **frame), len(records), now_ns)
+
+
+def running() -> tuple[Codec, Codec]:
+    """A controller and a node that have exchanged two sets of sensor frames."""
+    controller, node = controller_codec(), node_codec()
+    for now_ns in (1000, 2000):
+        give(controller, *sensors(node), now_ns=now_ns)
+    return controller, node

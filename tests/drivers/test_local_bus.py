@@ -1,6 +1,7 @@
 """The embedded bus as python-can sees it."""
 
 import select
+import signal
 import subprocess
 import sys
 import threading
@@ -133,6 +134,27 @@ def test_an_injected_error_frame_reaches_the_port_whatever_it_listens_to(
         assert port.health.bus_off is bus_off
     assert port.health.error_frames == 4
     port.close()
+
+
+@pytest.mark.parametrize("waiting", ["bus.recv()", "while True: port.drain(frames)"])
+def test_ctrl_c_ends_a_process_that_listens(waiting: str) -> None:
+    code = (
+        "import can, numpy\n"
+        "from servohil.drivers.frame import FRAME\n"
+        "from servohil.drivers.local_port import LocalPort\n"
+        "frames = numpy.zeros(8, dtype=FRAME)\n"
+        "port = LocalPort('bench', None)\n"
+        "with can.Bus(interface='servohil', channel='bench', ignore_config=True) as bus:\n"
+        "    print('listening', flush=True)\n"
+        f"    {waiting}\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "listening\n"
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=LONG_S)
+    assert process.returncode == -signal.SIGINT
+    assert errors.strip().endswith("KeyboardInterrupt")
 
 
 def test_python_can_finds_the_plug_in_in_another_process() -> None:

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+
 from servohil.estimators import SRUKF, Model
 from servohil.estimators.models import cylinder
 
@@ -27,7 +28,7 @@ def srukf(
     return SRUKF(model(), X0, p0, np.diag(np.square(process_std)), np.diag(np.square(measurement_std)), **options)
 
 
-@njit
+@njit(cache=True)
 def _advance(x, u, p, dt):
     k1, k2, k3, k4 = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
     _f(x, u, p, k1)
@@ -37,7 +38,7 @@ def _advance(x, u, p, dt):
     return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
-@njit
+@njit(cache=True)
 def sine_motion(steps, seed, healthy, faulty, fault_step, jitter, command_noise_v):
     """Inputs U (N, 3), samples Y (N, 3) and true states X (N, 4) of 0.3 + 0.15 sin(2t) m.
 

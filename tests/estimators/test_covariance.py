@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from servohil.estimators.covariance import CovarianceError, checked_factor, lower_factor
 
 

@@ -3,6 +3,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from reference_filters import rk4
+
 from servohil.estimators.models import cylinder
 from servohil.estimators.models.cylinder import CylinderParameters
 
@@ -135,7 +136,8 @@ def test_not_finite_parameters_are_refused_by_name(name):
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("mass_kg", 0.0), ("area_a_m2", -1e-4), ("area_b_m2", 0.0), ("dead_volume_a_m3", 0.0), ("dead_volume_b_m3", -1.0),
+        ("mass_kg", 0.0), ("area_a_m2", -1e-4), ("area_b_m2", 0.0), ("dead_volume_a_m3", 0.0),
+        ("dead_volume_b_m3", -1.0),
         ("stroke_m", 0.0), ("bulk_modulus_pa", -7e8), ("valve_gain", 0.0), ("friction_ns_per_m", -1.0),
         ("leak_internal", -1e-13), ("leak_external_a", -1e-13), ("leak_external_b", -1e-13),
     ],

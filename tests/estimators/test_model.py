@@ -5,6 +5,7 @@ import pytest
 from hydraulic_bench import model as cylinder_model
 from numba import njit
 from reference_filters import rk4
+
 from servohil.estimators import Model
 from servohil.estimators.model import ModelError
 from servohil.estimators.models import cylinder

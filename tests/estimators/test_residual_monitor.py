@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hydraulic_bench import HEALTHY, MEASUREMENT_STD, PROCESS_STD, sine_motion, srukf
+
 from servohil.estimators.leakage.residual_monitor import ARENA_SIZE, MonitorError, ResidualMonitor
 
 PA2_PER_MPA2 = 1e12
@@ -150,7 +151,7 @@ def test_copying_the_arena_restores_it_and_reset_keeps_the_settings():
 def test_settings_are_refused_by_name_and_value(name, value):
     with pytest.raises(MonitorError, match=f"{name} = {value}"):
         ResidualMonitor(1e-3, **{**SETTINGS, name: value})
-    with pytest.raises(MonitorError, match="dt = 0.0"):
+    with pytest.raises(MonitorError, match=r"dt = 0\.0"):
         ResidualMonitor(0.0, **SETTINGS)
     with pytest.raises(MonitorError, match=r"arena = float64 \(3,\)"):
         ResidualMonitor(1e-3, **SETTINGS, arena=np.zeros(3))

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from servohil.estimators.sigma_points import SigmaPointError, draw, mean, scaled_weights
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from servohil.estimators.fingerprint import NotIdentifiable, fingerprint
+
+from servohil.estimators.fingerprint import NotIdentifiableError, fingerprint
 
 MODEL = """
 from constants import RATE
@@ -149,5 +150,5 @@ def test_fingerprint_sees_nested_functions_and_recursion():
 
 
 def test_what_has_no_identity_is_reported():
-    with pytest.raises(NotIdentifiable):
+    with pytest.raises(NotIdentifiableError):
         fingerprint("", uses(object()))

@@ -5,6 +5,7 @@ import pytest
 from hydraulic_bench import MEASUREMENT_STD, P0, PROCESS_STD, X0, healthy_motion, model, srukf
 from numba.core.runtime import _nrt_python, rtsys
 from reference_filters import kalman, linear_f, linear_h, random_linear, unscented
+
 from servohil.estimators import SRUKF, Model
 from servohil.estimators.health import Status
 from servohil.estimators.models import cylinder
@@ -170,7 +171,8 @@ def test_survives_gaps_infinities_and_huge_numbers_and_recovers():
     correlation = trajectory.P / (scale[:, :, None] * scale[:, None, :])
     assert np.linalg.eigvalsh(correlation[::97]).min() > 0
     assert (trajectory.status[-500:] == Status.OK).mean() > 0.99
-    np.testing.assert_allclose(trajectory.x[-500:] / states[-500:], 1.0, atol=0.02)
+    error = np.abs(trajectory.x[-1500:] - states[-1500:]).max(axis=0)  # 0.5 s after the disturbance
+    assert (error < [1e-4, 5e-3, 0.05, 0.05]).all(), error
     health = ukf.health
     assert min(health.missing, health.gated, health.not_finite_input, health.diverged) > 0
     assert health.steps == 100_000
@@ -273,7 +275,7 @@ def test_changed_noise_takes_effect_at_the_next_step():
     ukf.step(u, y)
     np.testing.assert_allclose(ukf.x, x, atol=1e-12)
     np.testing.assert_allclose(ukf.P, p, atol=1e-12)
-    with pytest.raises(ValueError, match="R = .*semidefinite"):
+    with pytest.raises(ValueError, match=r"R = .*semidefinite"):
         ukf.R = np.diag([1.0, 1.0, -1.0])
 
 

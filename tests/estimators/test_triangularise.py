@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from servohil.estimators.triangularise import solve_transposed, triangularise
 
 

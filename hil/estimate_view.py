@@ -1,0 +1,65 @@
+"""Live views into a filter's arena for the loop: no copies, one compiled pass for the Snapshot and the monitor."""
+
+from math import sqrt
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from servohil.estimators import SRUKF
+from servohil.estimators.models import cylinder
+from servohil.estimators.srukf_layout import arena_offsets
+
+Vector = NDArray[np.float64]
+
+PA_PER_MPA: Final = 1e6
+
+
+@njit(cache=True, nogil=True)
+def _to_si(x: Vector, factor: Vector, scale: Vector, out_x: Vector, out_std: Vector) -> None:
+    """x and its standard deviations in SI; `factor` (n, n) holds the transposed lower factor by rows."""
+    n = x.size
+    for i in range(n):
+        out_x[i] = x[i] * scale[i]
+        square = 0.0
+        for k in range(n):
+            square += factor[k * n + i] * factor[k * n + i]
+        out_std[i] = sqrt(square) * scale[i]
+
+
+@njit(cache=True, nogil=True)
+def _pressure_residuals(innovation: Vector, s: Vector, residuals_pa: Vector, variances_pa2: Vector) -> None:
+    m = innovation.size
+    for channel in range(2):
+        output = channel + 1  # output 0 is the position
+        residuals_pa[channel] = innovation[output] * PA_PER_MPA
+        variances_pa2[channel] = s[output * m + output] * PA_PER_MPA * PA_PER_MPA
+
+
+class EstimateView:
+    """What the cycle reads of its filter. The views follow the arena, also through a restored checkpoint."""
+
+    def __init__(self, filter_: SRUKF) -> None:
+        n, m = filter_.model.n, filter_.model.m
+        starts = arena_offsets(n, m)
+        arena = filter_.arena
+        self.x = arena[starts[0] : starts[1]]
+        self._factor = arena[starts[1] : starts[2]]
+        self._innovation = arena[starts[4] : starts[5]]
+        self._s = arena[starts[5] : starts[6]]
+        self._nis = arena[starts[6] : starts[7]]
+        self._scale = np.array(cylinder.STATE_TO_SI)
+
+    @property
+    def nis(self) -> float:
+        """Normalised innovation squared of the last step."""
+        return float(self._nis[0])
+
+    def to_si(self, out_x: Vector, out_std: Vector) -> None:
+        """Fill out_x (4,) and out_std (4,): position m, velocity m/s, pressures A, B Pa."""
+        _to_si(self.x, self._factor, self._scale, out_x, out_std)
+
+    def pressure_residuals(self, residuals_pa: Vector, variances_pa2: Vector) -> None:
+        """Fill both (2,): measured - predicted pressure A, B in Pa, and their predicted variances in Pa2."""
+        _pressure_residuals(self._innovation, self._s, residuals_pa, variances_pa2)

@@ -1,0 +1,92 @@
+"""Reference and control law of the cycle: what the cylinder should do now, and the voltage that the law asks for."""
+
+from math import nan
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servohil.control import intsmc
+from servohil.control.reference import evaluate
+from servohil.control.stopping import come_to_rest
+from servohil.estimators.models import cylinder
+from servohil.hil import assemble
+from servohil.hil.config import Rig
+from servohil.hil.gate import DeviceState
+
+Vector = NDArray[np.float64]
+
+HOLD, ACTIVE = int(DeviceState.HOLD), int(DeviceState.ACTIVE)
+STOPPING_S: Final = 0.4  # from full speed to rest in HOLD
+
+# Places in this part's float64 state, in front of the profile vector.
+START_M, START_MPS, ENTERED_CYCLE, PROFILE = range(4)
+
+
+class Tracking:
+    """Follows the profile in ACTIVE, comes to rest and stays in HOLD; every entry starts from the estimated motion.
+
+    Args:
+        rig: the configuration.
+        law: float64 state of the control law, (INTSMC_STATE_SIZE,).
+        motion: float64 state of this part, (`motion_size(rig)`,).
+
+    Raises:
+        GainError, ProfileError: named condition.
+    """
+
+    def __init__(self, rig: Rig, law: Vector, motion: Vector) -> None:
+        self.dt = rig.loop.period_ns * 1e-9
+        self.gains = assemble.build_gains(rig).vector()
+        self.reference = np.full(4, nan)  # position m and three derivatives; NaN where no law runs
+        self.profile = motion[PROFILE:]
+        self.profile[:] = assemble.build_profile(rig).vector()
+        self._law = law
+        self._motion = motion
+        self._plant = rig.cylinder.parameters().vector()
+        self._error = np.zeros(3)
+        self._jerk = np.zeros(3)
+
+    @staticmethod
+    def motion_size(rig: Rig) -> int:
+        """Float64 words of `motion` for this rig."""
+        return PROFILE + int(assemble.build_profile(rig).vector().size)
+
+    @property
+    def sigma(self) -> float:
+        """Sliding variable of the last step, m/s."""
+        return float(self._law[intsmc.SIGMA])
+
+    def enter(self, x: Vector, cycle: int) -> None:
+        """The device state changed: start from the estimated position and velocity, with a fresh law."""
+        motion = self._motion
+        motion[START_M], motion[START_MPS], motion[ENTERED_CYCLE] = x[0], x[1], cycle
+        intsmc.reset(self._law)
+
+    def command(self, device: int, cycle: int, x: Vector, u: Vector, limit_v: float) -> float:
+        """What the law asks for, V; 0.0 in a state where none runs. Fills `reference`.
+
+        Args:
+            device: device state at the start of this cycle.
+            cycle: cycle number.
+            x: (4,) estimate, m, m/s, MPa, MPa.
+            u: (3,) valve V, supply Pa, tank Pa.
+            limit_v: greatest command.
+        """
+        reference: Any = self.reference
+        if device not in (HOLD, ACTIVE):
+            reference[:] = nan
+            return 0.0
+        start_m, start_mps, entered = self._motion[:PROFILE].tolist()
+        since_s = (cycle - entered) * self.dt
+        if device == HOLD:
+            come_to_rest(since_s, start_m, start_mps, STOPPING_S, reference)
+        else:
+            evaluate(self.profile, since_s, start_m, reference)
+        cylinder.jerk_model(x, u, self._plant, self._jerk)
+        error, jerk = self._error, self._jerk
+        error[:2] = x[:2] - reference[:2]
+        error[2] = cylinder.acceleration(x, self._plant) - reference[2]
+        return float(
+            intsmc.intsmc_step(self._law, self.gains, error, reference[3], jerk[0], jerk[1], jerk[2], limit_v, self.dt)
+        )
