@@ -94,6 +94,7 @@ class _Walk:
             self.add(f"again {self.seen[id(function)][0]}")
             return
         self.seen[id(function)] = (len(self.seen), function)
+        self.add(f"of {function.__module__}")  # numba imports it by name when it reads its cache
         names: set[str] = set()
         self.code(function.__code__, names)
         self.value(function.__defaults__ or (), frozenset(names))

@@ -65,7 +65,12 @@ def specialise(
     )
     if cache:
         function = _with_globals(kernel, values, str(file))
-    compiled = numba.njit(signature, cache=cache, nogil=True, error_model="numpy")(function)
+    try:
+        compiled = numba.njit(signature, cache=cache, nogil=True, error_model="numpy")(function)
+    except (
+        ImportError
+    ):  # numba's cache entry names a module that cannot be imported: the model was loaded some other way
+        compiled = numba.njit(signature, nogil=True, error_model="numpy")(function)
     if key:
         _compiled[key] = compiled
     return compiled

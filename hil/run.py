@@ -17,7 +17,7 @@ from servohil.drivers.open_port import open_port
 from servohil.drivers.port import Port
 from servohil.hil.config import Rig
 from servohil.hil.cycle import Cycle
-from servohil.hil.inputs import InputsBuffer
+from servohil.hil.dry_run import dry_run
 from servohil.hil.loop import LoopResult, RealtimeLoop, final_words
 from servohil.hil.operator_script import OperatorScript
 from servohil.hil.pacer import Pacer
@@ -25,7 +25,6 @@ from servohil.hil.realtime_setup import Step, make_realtime
 from servohil.hil.ring import RingWriter, capacity_for
 from servohil.hil.telemetry_child import TelemetryChild, telemetry_setup
 
-DRY_CYCLES: Final = 50
 RING_S: Final = 2.0
 SUMMARY_FILE: Final = "run.json"
 
@@ -76,17 +75,6 @@ class RunSummary:
         if self.loop.faulted:
             return EXIT_FAULT
         return EXIT_TELEMETRY if self.loop.telemetry_died or not self.telemetry else EXIT_OK
-
-
-def dry_run(cycle: Cycle) -> None:
-    """Run every compiled path once on empty inputs, then put the state back as it was."""
-    before = cycle.arena.save()
-    inputs = InputsBuffer()
-    for number in range(DRY_CYCLES):
-        inputs.header["cycle"] = number
-        inputs.header["t_ns"] = number * cycle.period_ns
-        cycle.step(inputs.header, inputs.frames)
-    cycle.restore(before)
 
 
 def run_controller(rig: Rig, options: RunOptions, say: Say) -> RunSummary:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from servohil.hil.config import Rig
 from servohil.hil.cycle import Cycle
+from servohil.hil.dry_run import dry_run
 from servohil.hil.lockstep import run_lockstep
 from servohil.hil.loop import LoopResult, final_words
 from servohil.hil.operator_script import OperatorScript
@@ -25,7 +26,7 @@ from servohil.hil.provenance import provenance
 from servohil.hil.recording.reader import Cycle as RecordedCycle
 from servohil.hil.recording.reader import Recording, series
 from servohil.hil.ring import Kind, RingWriter, capacity_for
-from servohil.hil.run import RING_S, SUMMARY_FILE, dry_run
+from servohil.hil.run import RING_S, SUMMARY_FILE
 from servohil.hil.snapshot import SNAPSHOT
 from servohil.hil.telemetry_child import RECORDING_FILE, RESULT_FILE, TelemetryChild, telemetry_setup
 from servohil.sim_bench.actuator_node import ActuatorNode, LeakPlan, TruthLog

@@ -104,6 +104,16 @@ print(filter.x[0], sum(filter._step.stats.cache_hits.values()), time.process_tim
     assert warm[3] < 0.5  # CPU seconds from the model to the first estimate
 
 
+def test_a_module_that_cannot_be_imported_works_in_every_process(tmp_path):
+    script = f"""
+from servohil.estimators import Model
+ghost = dict(__name__="ghost", RATE={uuid.uuid4().int % 10**9}e-9)
+exec("def f(x, u, p, dx):\\n    dx[0] = RATE * u[0]\\ndef h(x, u, p, y):\\n    y[0] = x[0]", ghost)
+print(Model(ghost["f"], ghost["h"], 1, 1, [], 1.0, integrator="euler").advance([0.0], [1.0])[0] / ghost["RATE"])
+"""
+    assert run(tmp_path, script) == run(tmp_path, script) == [1.0]
+
+
 LEVEL = 1.0
 TABLE = np.array([1.0, 2.0])
 

@@ -3,6 +3,7 @@
 import json
 import sys
 import time
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -100,3 +101,23 @@ def test_each_fault_of_a_report_is_told(path: str, value: Any) -> None:
     faults = faults_of(report)
     assert len(faults) == 1
     assert path in faults[0]
+
+
+def _values(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        flat |= _values(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+    return flat
+
+
+def test_the_rig_of_the_guest_is_the_bench_but_for_its_rate() -> None:
+    """A key that changes in bench.toml and not here would leave the guest testing another machine."""
+    rigs = Path(__file__).resolve().parents[2] / "rigs"
+    bench, guest = (_values(tomllib.loads((rigs / name).read_text())) for name in ("bench.toml", "vcan-vm.toml"))
+    messages = ("Position", "PressureAB", "PressureSupplyTank", "ValveStatus", "ValveCommand")
+    assert bench.keys() == guest.keys()
+    assert {key for key in bench if bench[key] != guest[key]} == {
+        "name", "loop.rate_hz", "bus.interface", *(f"bus.messages.{name}.period_s" for name in messages),
+        "cylinder.bulk_modulus_pa", "control.c1", "control.c2", "control.c3", "control.decay_per_s",
+        "telemetry.listen", "plant.command_timeout_s", "plant.substeps",
+    }  # fmt: skip
