@@ -37,8 +37,6 @@ SENSOR_STALE, SECOND_COMMANDER, LEAK_ALARM = int(Event.SENSOR_STALE), int(Event.
 BUS_OFF_EVENT: Final = int(Event.BUS_OFF)
 OWN_ID: Final = int(Kind.OWN_ID)
 FILTER_TROUBLE: Final = GATED | REPAIRED | NOT_FINITE_INPUT | DIVERGED
-OVERRUNS_HOLD_AFTER: Final = 3  # in a row
-OVERRUNS_FAULT_AFTER: Final = 10
 
 # int64 words of the cycle's own state.
 (
@@ -220,8 +218,8 @@ class Cycle:
         self._apply_parameters()
 
     def _events(self, inputs: InputsHeader, sensed: SensorView, status: int) -> int:
-        words = self._words
-        found = events.loop_events(int(words[OVERRUNS_IN_A_ROW]), OVERRUNS_HOLD_AFTER, OVERRUNS_FAULT_AFTER)
+        words, limits = self._words, self.rig.limits
+        found = events.loop_events(int(words[OVERRUNS_IN_A_ROW]), limits.overruns_hold, limits.overruns_fault)
         if words[STARTED]:
             found |= events.sensor_events(sensed, self._bounds, inputs.skipped * self.period_ns)
             found |= events.estimate_events(float(self._estimate_view.x[1]), self._bounds, bool(status & DIVERGED))

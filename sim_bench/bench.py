@@ -30,6 +30,7 @@ from servohil.hil.run import RING_S, SUMMARY_FILE
 from servohil.hil.snapshot import SNAPSHOT
 from servohil.hil.telemetry_child import RECORDING_FILE, RESULT_FILE, TelemetryChild, telemetry_setup
 from servohil.sim_bench.actuator_node import ActuatorNode, LeakPlan, TruthLog
+from servohil.sim_bench.awake import AwakeProcessors, virtual_machine
 from servohil.sim_bench.bench_processes import Child, RingWatch, watch_ring
 from servohil.sim_bench.node_process import warm_up
 from servohil.sim_bench.probe import Probe, connect_probe
@@ -40,6 +41,7 @@ TRUTH_FILE: Final = "truth.npy"
 REPORT_FILE: Final = "report.json"
 LOOK_S: Final = 0.05
 BACKPRESSURE_S: Final = 0.0005
+AWAKE_PERIOD_NS: Final = 5_000_000  # slower loops do not mind a processor that wakes up late
 
 Say = Callable[[str], None]
 Show = Callable[[dict[str, Any], int], None]  # (newest snapshot, samples received): the live line
@@ -78,7 +80,14 @@ def run_bench(rig: Rig, options: BenchOptions, say: Say, show: Show) -> tuple[di
     Raises:
         BenchError: a process ended before the loop began.
     """
-    logs = (_lockstep if options.lockstep else _realtime)(rig, options, say, show)
+    if options.lockstep:
+        logs = _lockstep(rig, options, say, show)
+    elif rig.loop.period_ns <= AWAKE_PERIOD_NS and virtual_machine():
+        say("processors: kept awake for the run, as halted virtual ones wake up late")
+        with AwakeProcessors():
+            logs = _realtime(rig, options, say, show)
+    else:
+        logs = _realtime(rig, options, say, show)
     leak = options.leak
     facts = RunFacts(
         interface=logs.interface,

@@ -101,8 +101,10 @@ class Limits(Section):
     command_max_v: Annotated[float, Field(gt=0.0, le=10.0)]  # the valve takes +-10 V
     command_slew_v_per_s: Positive
     ramp_down_s: Positive
-    sensor_age_periods: Annotated[int, Field(ge=1)]
+    sensor_age_periods: Annotated[int, Field(ge=1)] = 5
     bad_frames_tolerated: Annotated[int, Field(ge=0)]
+    overruns_hold: Annotated[int, Field(ge=1)] = 3  # in a row
+    overruns_fault: Annotated[int, Field(ge=1)] = 10  # in a row
 
 
 class Leakage(Section):

@@ -1,0 +1,62 @@
+"""A rig of a test's own: the bench's configuration on a bus and a port that nobody else uses."""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+HIL = [sys.executable, "-m", "servohil.hil.cli"]
+
+
+def write_rig(folder: Path, edits: dict[str, str] | None = None, dbc: str | None = None) -> Path:
+    """`rigs/bench.toml` with a channel of its own, any free Zenoh port, and text replaced as in `edits`."""
+    text = (ROOT / "rigs" / "bench.toml").read_text()
+    own = {
+        'channel = "vcan0"': f'channel = "t{os.getpid()}-{folder.name[-12:]}"',
+        'interface = "auto"': 'interface = "servohil"',
+        "tcp/127.0.0.1:7447": "tcp/127.0.0.1:0",
+        'directory = "runs"': f'directory = "{folder}/runs"',
+    }
+    for old, new in {**own, **(edits or {})}.items():
+        assert text.count(old) == 1, f"{old!r} stands {text.count(old)} times in bench.toml"
+        text = text.replace(old, new)
+    (folder / "bench.dbc").write_text(dbc if dbc is not None else (ROOT / "rigs" / "bench.dbc").read_text())
+    path = folder / "rig.toml"
+    path.write_text(text)
+    return path
+
+
+def hil(*arguments: object, timeout_s: float = 240.0) -> subprocess.CompletedProcess[str]:
+    """Run one `hil` command to its end."""
+    return subprocess.run(
+        [*HIL, *map(str, arguments)], capture_output=True, text=True, timeout=timeout_s, cwd=ROOT, check=False
+    )
+
+
+def start(*arguments: object) -> subprocess.Popen[str]:
+    """Start one `hil` command in a session of its own."""
+    return subprocess.Popen(
+        [*HIL, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=ROOT,
+        start_new_session=True,
+    )
+
+
+def wait_until(condition: Callable[[], object], what: str, timeout_s: float = 120.0) -> None:
+    """Poll until `condition()` holds; fails naming what was waited for."""
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {timeout_s:.0f} s for {what}"
+        time.sleep(0.01)
+
+
+def only_folder(runs: Path) -> Path | None:
+    """The one run folder in `runs`, once it is there."""
+    folders = sorted(runs.glob("*")) if runs.exists() else []
+    return folders[0] if folders else None
