@@ -5,6 +5,7 @@ parse is left out, a second message with the same id replaces the first), so eve
 checked here, with a message that names file, message, signal, value, and what is allowed.
 """
 
+import logging
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -103,6 +104,9 @@ def load_messages(path: Path, protections: Mapping[str, MessageProtection], name
 
 def _parse(path: Path) -> Any:
     import cantools
+
+    # What it would warn about is refused below, in one line; without a handler Python prints the warning as well.
+    logging.getLogger("cantools").addHandler(logging.NullHandler())
 
     if not path.is_file():
         raise DbcError(f"{path}: no such DBC file")

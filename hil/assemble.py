@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from servohil.control.intsmc import IntsmcGains
 from servohil.control.reference import SineProfile, StepProfile
-from servohil.drivers.codec import Codec, MessageProtection, load_codec
+from servohil.drivers.codec import Codec, DbcError, MessageProtection, load_codec
+from servohil.drivers.dbc import load_messages
 from servohil.estimators import SRUKF, Model
 from servohil.estimators.leakage.residual_monitor import ResidualMonitor
 from servohil.estimators.models import cylinder
@@ -28,11 +29,34 @@ SENSOR_SIGNALS: Final = ("position", "pressure_a", "pressure_b", "supply", "tank
 
 def load_bus_codec(rig: Rig, receive: Sequence[str], transmit: Sequence[str]) -> Codec:
     """The codec of one end of the rig's bus, protections as configured. Raises DbcError."""
-    protections = {
+    return load_codec(rig.dbc_path, _protections(rig), receive=list(receive), transmit=list(transmit))
+
+
+def _protections(rig: Rig) -> dict[str, MessageProtection]:
+    return {
         name: MessageProtection(message.period_ns, message.e2e, message.data_ids)
         for name, message in rig.bus.messages.items()
     }
-    return load_codec(rig.dbc_path, protections, receive=list(receive), transmit=list(transmit))
+
+
+def check(rig: Rig) -> None:
+    """Look for what the rig file alone does not show, before anything is compiled for it or written.
+
+    Raises:
+        DbcError: names the DBC, the message or signal, and what is allowed.
+        GainError, ProfileError: name the condition that gains or reference break.
+    """
+    build_gains(rig)
+    build_profile(rig)
+    names = [*sensor_messages(rig), command_message(rig)]
+    tables = {table.name: table for table in load_messages(rig.dbc_path, _protections(rig), names)}
+    for path in rig.signals.model_dump().values():
+        message, signal = path.split(".", maxsplit=1)
+        present = [entry.name for entry in tables[message].signals]
+        if signal not in present:
+            raise DbcError(
+                f'{rig.dbc_path}: no signal "{signal}" in message "{message}"; there is {", ".join(present)}'
+            )
 
 
 def message_of(signal_path: str) -> str:

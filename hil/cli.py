@@ -1,5 +1,6 @@
 """The `hil` command. Heavy imports live inside the commands, so that `hil --help` answers at once."""
 
+import math
 import os
 import sys
 import time
@@ -17,8 +18,20 @@ DEFAULT_RIG: Final = Path(__file__).resolve().parent.parent / "rigs" / "bench.to
 EXIT_REFUSED: Final = 1
 RIG = click.argument("rig", type=click.Path(path_type=Path), default=DEFAULT_RIG, required=False)
 LEAK_KIND = click.Choice(["internal", "external_a", "external_b"])
-POSITIVE = click.FloatRange(min=0.0, min_open=True)
-NOT_NEGATIVE = click.FloatRange(min=0.0)
+
+
+class Finite(click.FloatRange):
+    """A range that refuses NaN, which compares with nothing, and infinity."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return number
+
+
+POSITIVE = Finite(min=0.0, min_open=True)
+NOT_NEGATIVE = Finite(min=0.0)
 
 
 @contextmanager
@@ -97,10 +110,12 @@ def run(
     """Run the controller of RIG on its bus."""
     follow(parent)
     with one_clear_line():
+        from servohil.hil.assemble import check
         from servohil.hil.config.effective import write_effective
         from servohil.hil.run import RunOptions, run_controller
 
         loaded = load(rig)
+        check(loaded)
         if folder is None:
             folder = new_folder(loaded.recording.directory, "run")
             loaded = write_effective(loaded, folder)
@@ -164,7 +179,7 @@ def telemetry(setup: Path) -> None:
 @main.command()
 @RIG
 @click.option("--duration", type=POSITIVE, default=20.0, show_default=True, help="Seconds in ACTIVE.")
-@click.option("--rate", type=click.FloatRange(1.0, 10_000.0), help="Cycles per second (default: as in RIG).")
+@click.option("--rate", type=Finite(1.0, 10_000.0), help="Cycles per second (default: as in RIG).")
 @click.option("--leak-at", type=NOT_NEGATIVE, default=12.0, show_default=True, help="Seconds after enabling.")
 @click.option("--leak", type=NOT_NEGATIVE, default=1e-11, show_default=True, help="m3/(s Pa); 0: no leak.")
 @click.option("--leak-kind", type=LEAK_KIND, default="internal", show_default=True)
@@ -213,6 +228,27 @@ def doctor(rig: Path) -> None:
         checks = run_doctor(load(rig))
         click.echo("\n".join(doctor_lines(checks)))
     sys.exit(exit_code(checks))
+
+
+@main.group()
+def benchmark() -> None:
+    """Measure this machine; results in the one format of claims."""
+
+
+@benchmark.command("loop")
+@RIG
+@click.option("--quick", is_flag=True, help="Fewer cycles: under a minute.")
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write provenance and claims here.")
+@click.option("--page", type=click.Path(path_type=Path), help="Put the table into this page, between its markers.")
+def benchmark_loop(rig: Path, quick: bool, json_path: Path | None, page: Path | None) -> None:
+    """What one cycle costs, stage by stage, and the bus beside a peer."""
+    with one_clear_line():
+        from servohil.sim_bench.benchmarks.command import run_benchmark
+        from servohil.sim_bench.benchmarks.loop import loop_claims
+
+        loaded = load(rig)
+        holds = run_benchmark("loop", loaded, lambda tick: loop_claims(loaded, quick, tick), json_path, page)
+    sys.exit(0 if holds else EXIT_REFUSED)
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ def dry_run(cycle: Cycle) -> None:
         DryRunError: HOLD or ACTIVE was not reached with plausible measurements.
     """
     before = cycle.arena.save()
-    sensors = _Sensors(cycle)
+    sensors = PlausibleSensors(cycle)
     inputs = InputsBuffer()
     header = inputs.header
     seen = set()
@@ -65,7 +65,7 @@ def dry_run(cycle: Cycle) -> None:
         )
 
 
-class _Sensors:
+class PlausibleSensors:
     """The node's frames, all of them, with values inside every limit of the rig."""
 
     def __init__(self, cycle: Cycle) -> None:

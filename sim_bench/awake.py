@@ -1,9 +1,9 @@
 """Keep the processors of a virtual machine from halting while a real-time bench runs.
 
-A halted virtual processor has to be scheduled by its host again before it can wake anybody: on a shared host that made two
-1 kHz loops 30 to 60 ms late now and then, and 2 ms late with this (docs/performance.md). One process per processor spins in
-the scheduling class SCHED_IDLE: it runs only when nothing else wants to, and takes nothing from the bench. A machine of its
-own needs no such thing.
+A halted virtual processor has to be scheduled by its host again before it can wake anybody: on a shared host that
+made two 1 kHz loops 30 to 60 ms late now and then, and 2 ms late with this (docs/performance.md). One process per
+processor spins in the scheduling class SCHED_IDLE: it runs only when nothing else wants to, and takes nothing from
+the bench. A machine of its own needs no such thing.
 """
 
 import os

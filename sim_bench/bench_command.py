@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
+from servohil.hil.assemble import check
 from servohil.hil.cli import new_folder
 from servohil.hil.config import load_rig
 from servohil.hil.config.effective import write_effective
@@ -89,6 +90,7 @@ def bench_command(
     source = load_rig(rig_path)
     if source.plant is None:
         raise ValueError(f"{rig_path}: plant: missing; the bench needs a [plant] table for the simulated node")
+    check(source)
     leak_at_s, coefficient, kind = leak
     plan = LeakPlan(leak_at_s, coefficient, kind) if coefficient > 0.0 and leak_at_s < duration_s else None
     folder = new_folder(source.recording.directory, source.name)

@@ -115,9 +115,7 @@ def test_estimate_follows_the_truth_and_its_own_deviation(bench: Bench) -> None:
     errors = []
     for _ in range(500):
         snapshot = bench.step()
-        errors.append(
-            (snapshot["est_position_m"] - bench.node.plant.state[0]) / snapshot["std_position_m"]
-        )
+        errors.append((snapshot["est_position_m"] - bench.node.plant.state[0]) / snapshot["std_position_m"])
     assert np.sqrt(np.mean(np.square(errors))) < 2.0
 
 

@@ -161,5 +161,3 @@ def test_ctrl_c_at_any_time_ends_in_order(tmp_path: Path, moment: str) -> None:
         snapshots = recorded_snapshots(bench.folder / "recording.mcap")
         assert snapshots["state"][-1] == DeviceState.DISABLED
         assert snapshots["command_v"][-1] == 0.0
-
-

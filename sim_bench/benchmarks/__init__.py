@@ -1,0 +1,1 @@
+"""Benchmarks: medians and ratios against a named peer in the same run, as claims."""
