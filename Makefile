@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 BIN := .venv/bin
 STAMP := .venv/.locked
 
-.PHONY: setup bench test check test-socketcan docs proto lock clean
+.PHONY: setup bench test check test-socketcan proto lock clean
 
 setup: $(STAMP)
 
@@ -14,8 +14,10 @@ $(STAMP): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch $(STAMP)
 
+# For example: make bench BENCH_OPTIONS="--lockstep --seed 3"
+BENCH_OPTIONS ?=
 bench: setup
-	$(BIN)/hil bench
+	$(BIN)/hil bench $(BENCH_OPTIONS)
 
 test: setup check
 	$(BIN)/pytest
@@ -24,8 +26,13 @@ check: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
+# Exit code 77: qemu is not to be had on this machine.
 test-socketcan: setup
-	$(BIN)/python -m servohil.tests_socketcan
+	$(BIN)/python tests/socketcan_vm/run.py $(BIN)/python tests/socketcan_vm/guest_tests.py
+
+# Regenerate the Protobuf schema and its classes from the Snapshot's fields.
+proto: setup
+	$(BIN)/python -m servohil.hil.telemetry.make_proto
 
 lock:
 	uv pip compile pyproject.toml --extra dev --generate-hashes --python-version 3.11 --no-header --no-annotate --upgrade -o requirements.lock
