@@ -1,7 +1,8 @@
 """Come to rest smoothly: the reference of HOLD, from the position and velocity measured when it is entered.
 
-The velocity falls by the septic blend of `reference`: v = v0 (1 - beta(t / T)), so that acceleration and jerk begin and end at
-zero; the way is v0 T / 2. A valve that is simply shut on a moving mass cavitates one chamber and overloads the other.
+The velocity falls by the septic blend of `reference`: v = v0 (1 - beta(t / T)), so that acceleration and jerk begin
+and end at zero; the way is v0 T / 2. A valve that is simply shut on a moving mass cavitates one chamber and overloads
+the other.
 """
 
 import numpy as np

@@ -26,7 +26,9 @@ def compiled_sources_hash(package: Path) -> str:
 
 
 def use_cache_of_these_sources() -> None:
-    """Set NUMBA_CACHE_DIR to <base>/servohil-<hash>; base is NUMBA_CACHE_DIR where given, else the user's cache folder."""
+    """Set NUMBA_CACHE_DIR to <base>/servohil-<hash>; base is NUMBA_CACHE_DIR where given, else the user's cache
+    folder.
+    """
     home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     base = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(home) / "servohil" / "numba")
     if base.name.startswith("servohil-"):  # inherited from a servohil parent process

@@ -22,9 +22,10 @@ def test_one_idle_class_process_per_processor_and_none_afterwards() -> None:
 
 
 def test_they_end_with_the_process_that_started_them() -> None:
-    text = "import os, signal; from servohil.sim_bench.awake import AwakeProcessors\n" \
-        "awake = AwakeProcessors().__enter__(); print(*awake.pids, flush=True); os.kill(os.getpid(), signal.SIGKILL)" 
-        # fmt: skip
+    text = (
+        "import os, signal; from servohil.sim_bench.awake import AwakeProcessors\n"
+        "awake = AwakeProcessors().__enter__(); print(*awake.pids, flush=True); os.kill(os.getpid(), signal.SIGKILL)"
+    )
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=False)
     pids = [int(word) for word in done.stdout.split()]
     assert pids

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from bench_rig import hil, write_rig
 
 from servohil.sim_bench.report.score import deterministic_part
-from bench_rig import hil, write_rig
 
 
 @pytest.fixture(scope="module")

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bench_rig import hil, only_folder, start, wait_until, write_rig
 
 from servohil.hil.gate import DeviceState
 from servohil.hil.recording.reader import Recording
 from servohil.sim_bench.bench import recorded_snapshots
-from bench_rig import hil, only_folder, start, wait_until, write_rig
 
 pytestmark = pytest.mark.processes
 
