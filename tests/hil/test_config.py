@@ -90,7 +90,7 @@ def test_a_real_rig_has_no_plant(tmp_path: Path) -> None:
 
 
 def test_a_message_without_protection_has_no_data_ids(tmp_path: Path) -> None:
-    ids = "data_ids = [17, 34, 51, 68, 85, 102, 119, 136, 153, 170, 187, 204, 221, 238, 255, 16]\n"
+    ids = "data_ids = [17, 180, 159, 23, 129, 116, 85, 190, 111, 255, 57, 83, 172, 252, 192, 54]\n"
     rig = load_text(tmp_path, edited(('e2e = "profile2"\n' + ids, 'e2e = "none"\n')))
     assert rig.bus.messages["Position"].e2e == "none"
     assert rig.bus.messages["Position"].data_ids == ()
@@ -148,7 +148,7 @@ ONE_LINE = [
     (("priority = 50", "priority = true"), "loop.priority = true: must be a whole number"),
     (('channel = "vcan0"', "channel = 3"), "bus.channel = 3: must be a text"),
     (("rotate_bytes = 256000000", "rotate_bytes = 1234567.5"), "recording.rotate_bytes = 1234567.5: must be a whole number"),
-    (("data_ids = [17, 34, 51, 68, 85, 102, 119, 136, 153, 170, 187, 204, 221, 238, 255, 16]", "data_ids = 17"), "bus.messages.Position.data_ids = 17: must be an array"),
+    (("data_ids = [17, 180, 159, 23, 129, 116, 85, 190, 111, 255, 57, 83, 172, 252, 192, 54]", "data_ids = 17"), "bus.messages.Position.data_ids = 17: must be an array"),
     # ranges and choices
     (("rate_hz = 1000", "rate_hz = 10001"), "loop.rate_hz = 10001: must be less than or equal to 10000"),
     (("rate_hz = 1000", "rate_hz = 0.5"), "loop.rate_hz = 0.5: must be greater than or equal to 1"),
@@ -169,9 +169,9 @@ ONE_LINE = [
     (("phase = 0.5", ""), "loop.phase: missing; allowed: a number"),
     (("omega_rad_per_s = 2.0", ""), 'reference.omega_rad_per_s: missing; allowed: a number in rad/s, or a text such as "1 rad/s" in rad/s'),
     # relations
-    (("data_ids = [17,", "data_ids = ["), "bus.messages.Position.data_ids = [34, 51, 68, 85, 102, 119, 136, 153, 170, 187, 204, 221, ...: 15 values; allowed: exactly 16 values of 0..255"),
-    (('e2e = "profile2"', 'e2e = "none"'), 'bus.messages.Position.data_ids = [17, 34, 51, 68, 85, 102, 119, 136, 153, 170, 187, 204, ...: e2e = "none" has no data ids; remove the key'),
-    (("[18, 35, 52, 69, 86, 103, 120, 137, 154, 171, 188, 205, 222, 239, 0, 33]", "[17, 34, 51, 68, 85, 102, 119, 136, 153, 170, 187, 204, 221, 238, 255, 16]"), "bus.messages.PressureAB.data_ids = [17, 34, 51, 68, 85, 102, 119, 136, 153, 170, 187, 204, ...: same list as Position; allowed: a list of its own"),
+    (("data_ids = [17,", "data_ids = ["), "bus.messages.Position.data_ids = [180, 159, 23, 129, 116, 85, 190, 111, 255, 57, 83, 172, ...: 15 values; allowed: exactly 16 values of 0..255"),
+    (('e2e = "profile2"', 'e2e = "none"'), 'bus.messages.Position.data_ids = [17, 180, 159, 23, 129, 116, 85, 190, 111, 255, 57, 83, ...: e2e = "none" has no data ids; remove the key'),
+    (("[18, 183, 156, 20, 130, 119, 86, 189, 108, 252, 58, 80, 175, 255, 195, 53]", "[17, 180, 159, 23, 129, 116, 85, 190, 111, 255, 57, 83, 172, 252, 192, 54]"), "bus.messages.PressureAB.data_ids = [17, 180, 159, 23, 129, 116, 85, 190, 111, 255, 57, 83, ...: same list as Position; allowed: a list of its own"),
     (('"ValveStatus.spool"', '"Spool.spool"'), 'signals.spool = "Spool.spool": no table [bus.messages.Spool]; allowed: Position, PressureAB, PressureSupplyTank, ValveStatus, ValveCommand'),
     (('"ValveCommand.command"', '"ValveStatus.command"'), 'signals.command = "ValveStatus.command": ValveStatus is received; allowed: a message that only we send'),
     (('position_max_m = "580 mm"', 'position_max_m = "601 mm"'), 'limits.position_max_m = "601 mm": must be within the stroke, 0..0.6 m'),

@@ -56,7 +56,7 @@ REMOVED = TABLE.read_text().partition("[COMMAND_SLEWED]")[0]
         (TABLE.read_text(), REMOVED, "COMMAND_SLEWED: missing; every event needs an entry"),
         ('reaction = "ramp"', 'reaction = "brake"', "SENSOR_STALE.reaction = 'brake': allowed: none, hold, fault_hold, ramp, stop"),
         ('reaction = "hold"', 'reaktion = "hold"', "OVERRUNS_HOLD.reaktion: unknown key; allowed: trigger, reaction, latched, deadline, why"),
-        ('trigger = "3 overruns in a row"', "", "OVERRUNS_HOLD.trigger = None: must be a str"),
+        ('trigger = "limits.overruns_hold (3) overruns in a row"', "", "OVERRUNS_HOLD.trigger = None: must be a str"),
         ("latched = false", "latched = 0", "OVERRUNS_HOLD.latched = 0: must be a bool"),
         ('reaction = "ramp"\nlatched = true', 'reaction = "ramp"\nlatched = false', "SENSOR_STALE.latched = False: must be true for ramp"),
         ('reaction = "hold"\nlatched = false', 'reaction = "fault_hold"\nlatched = false', "OVERRUNS_HOLD.latched = False: must be true for fault_hold"),

@@ -119,5 +119,5 @@ def test_the_rig_of_the_guest_is_the_bench_but_for_its_rate() -> None:
     assert {key for key in bench if bench[key] != guest[key]} == {
         "name", "loop.rate_hz", "bus.interface", *(f"bus.messages.{name}.period_s" for name in messages),
         "cylinder.bulk_modulus_pa", "control.c1", "control.c2", "control.c3", "control.decay_per_s",
-        "telemetry.listen", "plant.command_timeout_s", "plant.substeps",
+        "telemetry.listen", "telemetry.batch_s", "plant.command_timeout_s", "plant.substeps",
     }  # fmt: skip
