@@ -199,6 +199,8 @@ class Cycle:
             self.monitor.acknowledge()
             self._words[LEAK_SINCE] = -1
             return Command.NONE, Result.ACCEPTED
+        if self.listen_only and code in (Command.ENABLE, Command.HOLD):
+            return Command.NONE, Result.REFUSED_STATE  # nothing is sent: it must not look as if it were
         return code, Result.NONE
 
     def _apply_parameters(self) -> None:

@@ -278,5 +278,11 @@ def test_shadow_mode_sends_nothing_and_takes_the_observed_command_as_input(rig: 
         assert shadow.step(head, frames) == b""
     assert shadow.snapshot["state"] == DeviceState.DISABLED
     assert shadow.snapshot["command_v"] == 0.0
+    head["command_code"], head["command_seq"] = Command.ENABLE, 1
+    shadow.step(head, frames)
+    assert (shadow.snapshot["state"], shadow.snapshot["command_result"]) == (
+        DeviceState.DISABLED,
+        Result.REFUSED_STATE,
+    )
     assert abs(shadow.snapshot["est_velocity_mps"] - bench.node.plant.state[1]) < 5e-3
     assert shadow.snapshot["leak_alarm"] == 0
