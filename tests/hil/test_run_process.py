@@ -14,6 +14,7 @@ from bench_rig import hil, start, wait_until, write_rig
 
 from servohil.drivers.can_network import multicast_obstacle
 from servohil.hil.telemetry.session import client_settings, open_session
+from servohil.sim_bench.awake import AwakeProcessors
 
 pytestmark = pytest.mark.processes
 
@@ -69,10 +70,11 @@ def rigs(tmp_path: Path) -> Iterator[tuple[Path, Path]]:
     node_rig = write_rig(tmp_path)
     controller_rig = tmp_path / "controller.toml"
     controller_rig.write_text(node_rig.read_text().split("[plant]")[0])
-    node = start("rig", node_rig)
-    yield controller_rig, node_rig
-    node.send_signal(signal.SIGTERM)
-    output, _ = node.communicate(timeout=60)
+    with AwakeProcessors():  # as the bench does: a shared virtual machine stalls sleeping loops otherwise
+        node = start("rig", node_rig)
+        yield controller_rig, node_rig
+        node.send_signal(signal.SIGTERM)
+        output, _ = node.communicate(timeout=60)
     assert node.returncode == 0, output
 
 
