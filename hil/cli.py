@@ -235,11 +235,21 @@ def benchmark() -> None:
     """Measure this machine; results in the one format of claims."""
 
 
+def benchmark_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """What every benchmark takes."""
+    page = click.Path(path_type=Path)
+    for option in (
+        click.option("--page", type=page, help="Put the table into this page, between its markers."),
+        click.option("--json", "json_path", type=page, help="Write provenance and claims here."),
+        click.option("--quick", is_flag=True, help="Fewer cycles: under a minute."),
+        RIG,
+    ):
+        command = option(command)
+    return command
+
+
 @benchmark.command("loop")
-@RIG
-@click.option("--quick", is_flag=True, help="Fewer cycles: under a minute.")
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write provenance and claims here.")
-@click.option("--page", type=click.Path(path_type=Path), help="Put the table into this page, between its markers.")
+@benchmark_options
 def benchmark_loop(rig: Path, quick: bool, json_path: Path | None, page: Path | None) -> None:
     """What one cycle costs, stage by stage, and the bus beside a peer."""
     with one_clear_line():
@@ -249,6 +259,17 @@ def benchmark_loop(rig: Path, quick: bool, json_path: Path | None, page: Path | 
         loaded = load(rig)
         holds = run_benchmark("loop", loaded, lambda tick: loop_claims(loaded, quick, tick), json_path, page)
     sys.exit(0 if holds else EXIT_REFUSED)
+
+
+@benchmark.command("wakeup")
+@benchmark_options
+def benchmark_wakeup(rig: Path, quick: bool, json_path: Path | None, page: Path | None) -> None:
+    """How late a sleeping loop wakes up on this machine."""
+    with one_clear_line():
+        from servohil.sim_bench.benchmarks.command import run_benchmark
+        from servohil.sim_bench.benchmarks.wakeup import wakeup_claims
+
+        run_benchmark("wakeup", load(rig), lambda tick: wakeup_claims(quick, tick), json_path, page)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from servohil.hil.provenance import provenance
 from servohil.hil.ring import RingWriter
 from servohil.hil.telemetry.setup import Parameter, TelemetryError, TelemetrySetup
 
-READY_TIMEOUT_S: Final = 30.0
+READY_TIMEOUT_S: Final = 120.0  # a slow machine imports for a minute
 FINISH_TIMEOUT_S: Final = 10.0
 POLL_S: Final = 0.01
 NS_PER_S: Final = 1_000_000_000

@@ -36,7 +36,7 @@ from servohil.sim_bench.node_process import warm_up
 from servohil.sim_bench.probe import Probe, connect_probe
 from servohil.sim_bench.report.score import RunFacts, score
 
-SUBSCRIBER_WAIT_S: Final = 20.0
+SUBSCRIBER_WAIT_S: Final = 60.0
 TRUTH_FILE: Final = "truth.npy"
 REPORT_FILE: Final = "report.json"
 LOOK_S: Final = 0.05

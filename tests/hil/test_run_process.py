@@ -8,11 +8,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import zenoh
 from bench_rig import hil, start, wait_until, write_rig
 
 from servohil.drivers.can_network import multicast_obstacle
+from servohil.drivers.frame import FRAME
+from servohil.drivers.open_port import open_port
+from servohil.hil.assemble import command_message, load_bus_codec
+from servohil.hil.config import load_rig
 from servohil.hil.telemetry.session import client_settings, open_session
 from servohil.sim_bench.awake import AwakeProcessors
 
@@ -59,7 +64,8 @@ class Controller:
     def end(self, number: int = signal.SIGTERM) -> tuple[int, str]:
         self._subscriber.undeclare()
         self.session.close()
-        self.process.send_signal(number)
+        if self.process.poll() is None:
+            self.process.send_signal(number)
         output, _ = self.process.communicate(timeout=60)
         return self.process.returncode, "".join(self.lines) + output
 
@@ -124,6 +130,37 @@ def test_shadow_mode_follows_another_controller_and_never_sends(rigs: tuple[Path
         code, output = controller.end(signal.SIGINT)
     assert code == 0, output
     assert shadow_code == 0, shadow_output
+
+
+@pytest.mark.parametrize("twice", [False, True])
+def test_the_last_frame_on_the_bus_after_ctrl_c_is_zero_volts(rigs: tuple[Path, Path], twice: bool) -> None:
+    rig = load_rig(rigs[0])
+    node_side = load_bus_codec(rig, receive=[command_message(rig)], transmit=[])
+    controller = Controller(rigs[0], "--enable")
+    spy = open_port("servohil", rig.bus.channel, receive_ids=node_side.receive_ids)
+    frames = np.zeros(4096, dtype=FRAME)
+    command = node_side.slot(rig.signals.command)
+
+    def moves() -> bool:
+        node_side.receive(frames, spy.drain(frames), 0)
+        return abs(float(node_side.values[command])) > 0.2  # False for NaN
+
+    try:
+        wait_until(moves, "a valve command", 60.0)
+        controller.process.send_signal(signal.SIGINT)
+        if twice:
+            controller.process.send_signal(signal.SIGINT)
+    finally:
+        code, output = controller.end(0)  # no further signal
+    assert code in (0, 2), output  # 2: shut at speed, a chamber cavitates
+    assert code == 0 or twice, output
+    while (n := spy.drain(frames)) > 0:
+        node_side.receive(frames, n, 0)
+        last = frames[n - 1]
+    spy.close()
+    assert float(node_side.values[command]) == 0.0
+    assert float(node_side.values[node_side.slot(rig.signals.control_word)]) == 0.0
+    assert last["id"] == node_side.receive_ids[0]
 
 
 def test_the_bench_over_udp_multicast(tmp_path: Path) -> None:

@@ -41,43 +41,41 @@ def cache_folder() -> Path:
     return folder.resolve()
 
 
-def shared_environment(folder: Path) -> dict[str, str]:
-    """What host and guest must agree on to share caches under `folder`."""
+def shared_environment(caches: Path) -> dict[str, str]:
+    """What host and guest must agree on to share what is under `caches`."""
     return {
         # numba names the processor in its cache: without these the guest would compile everything anew
         "NUMBA_CPU_NAME": "x86-64-v2",
         "NUMBA_CPU_FEATURES": "",
-        "NUMBA_CACHE_DIR": str(folder / "numba"),
-        "MPLCONFIGDIR": str(folder / "matplotlib"),  # its list of fonts takes the guest a minute to make
+        "NUMBA_CACHE_DIR": str(caches / "numba"),
+        "MPLCONFIGDIR": str(caches / "matplotlib"),  # its list of fonts takes the guest a minute to make
     }
 
 
-def warm_up(numba_cache: Path, shared: dict[str, str]) -> None:
+def warm_up(caches: Path) -> None:
     """Compile on the host what the guest will run. A failure is only told: the guest's own result counts."""
     key = hashlib.sha256()
     for room in ("estimators", "control", "drivers", "hil", "sim_bench", "rigs", "tests/drivers", "tests/socketcan_vm"):
         for path in sorted((CHECKOUT / room).rglob("*.*")):
             if path.suffix in {".py", ".toml", ".dbc"}:  # numba's index looks at the time of a source as well
                 key.update(f"{path}:{path.stat().st_mtime_ns}\n".encode())
-    stamp = numba_cache / "warmed-up"
+    stamp = caches / "warmed-up"
     if stamp.exists() and stamp.read_text() == key.hexdigest():
         return
-    shutil.rmtree(numba_cache, ignore_errors=True)
-    numba_cache.mkdir(parents=True)
+    shutil.rmtree(caches, ignore_errors=True)
+    caches.mkdir()
     print("compiling on the host", flush=True)
     command = [sys.executable, str(HERE / "guest_tests.py"), "--warm-up"]
-    outcome = subprocess.run(command, cwd=CHECKOUT, env={**os.environ, **shared}, check=False)
+    outcome = subprocess.run(command, cwd=CHECKOUT, env={**os.environ, **shared_environment(caches)}, check=False)
     if outcome.returncode == 0:
         stamp.write_text(key.hexdigest())
     else:
         print(f"the warm-up failed (exit code {outcome.returncode}): the guest compiles for itself, slowly", flush=True)
 
 
-def write_job(
-    job: Path, command: list[str], mounts: Iterable[tuple[str, Path]], shared: dict[str, str], limit_s: int
-) -> None:
+def write_job(job: Path, command: list[str], mounts: Iterable[tuple[str, Path]], caches: Path, limit_s: int) -> None:
     """What `init` reads in the guest: the command as a script, the images' places, the time limit, and copies of the
-    checkout and of numba's cache (times in ns kept: numba's index compares them, and squashfs rounds them)."""
+    checkout and of the caches (times in ns kept: numba's index compares them, and squashfs rounds them)."""
     environment = {
         "PATH": f"{Path(sys.executable).parent}:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
         "HOME": os.environ.get("HOME", "/root"),
@@ -85,7 +83,7 @@ def write_job(
         "TERM": "dumb",
         "PYTHONUNBUFFERED": "1",
         "SERVOHIL_GUEST_OUTPUT": GUEST_OUTPUT,
-        **shared,
+        **shared_environment(caches),
     }
     lines = ["#!/bin/sh", f"cd {shlex.quote(str(CHECKOUT))} || exit 125"]
     lines += [f"export {name}={shlex.quote(value)}" for name, value in environment.items()]
@@ -95,10 +93,10 @@ def write_job(
     script.chmod(0o755)
     (job / "mounts").write_text("".join(f"{device} {path}\n" for device, path in mounts))
     (job / "checkout_path").write_text(f"{CHECKOUT}\n")
-    (job / "numba_path").write_text(shared["NUMBA_CACHE_DIR"] + "\n")
+    (job / "caches_path").write_text(f"{caches}\n")
     (job / "output").mkdir()
     shutil.copytree(CHECKOUT, job / "checkout", symlinks=True, ignore=_not_sources)
-    shutil.copytree(shared["NUMBA_CACHE_DIR"], job / "numba")
+    shutil.copytree(caches, job / "caches")
     (job / "time_limit_s").write_text(f"{limit_s}\n")
 
 
@@ -110,11 +108,16 @@ def _not_sources(folder: str, names: list[str]) -> set[str]:
 
 
 def qemu_command(kernel: Path, initramfs: Path, images: list[Path], job: Path) -> list[str]:
-    """Software emulation on purpose: a stock kernel may hang under a nested /dev/kvm."""
+    """Software emulation on purpose: a stock kernel may hang under a nested /dev/kvm.
+
+    The guest's clock counts instructions, 1 ns each (-icount): to its programs this is a processor of constant speed, a
+    few times slower than ours, however busy the host is. A real-time loop in the guest keeps its deadlines; the minutes
+    that the emulation takes pass outside. While all of the guest sleeps, its clock is the host's.
+    """
     qemu = which("qemu-system-x86_64")
     assert qemu is not None
     command = [
-        qemu, "-accel", "tcg,thread=multi", "-cpu", "max", "-smp", "2", "-m", "3072", "-nic", "none", "-no-reboot",
+        qemu, "-accel", "tcg,thread=single", "-icount", "shift=0", "-cpu", "max,erms=off,fsrm=off", "-m", "3072", "-nic", "none", "-no-reboot",
         "-nodefaults", "-no-user-config", "-display", "none", "-rtc", "base=utc", "-serial", "stdio",
         "-kernel", str(kernel), "-initrd", str(initramfs),
         "-append", "console=ttyS0 loglevel=0 panic=-1 mitigations=off random.trust_cpu=on",
@@ -195,12 +198,12 @@ def main() -> int:
         return CANNOT_RUN_HERE
     initramfs = build_initramfs(kernel, release, busybox, HERE / "init", folder)
     images = build_python_images(folder, CHECKOUT / "requirements.lock", keep=arguments.keep_images)
-    shared = shared_environment(folder)
-    warm_up(folder / "numba", shared)
+    caches = folder / "caches"
+    warm_up(caches)
     print(f"prepared in {time.monotonic() - start:.1f} s, booting {release}", flush=True)
     with tempfile.TemporaryDirectory(prefix="guest-", dir=folder) as job:
         mounts = [(f"vd{letter}", path) for letter, (_, path) in zip("abcdef", images, strict=False)]
-        write_job(Path(job), command, mounts, shared, arguments.time_limit)
+        write_job(Path(job), command, mounts, caches, arguments.time_limit)
         qemu = qemu_command(
             kernel / "boot" / f"vmlinuz-{release}", initramfs, [image for image, _ in images], Path(job)
         )
