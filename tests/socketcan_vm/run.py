@@ -22,7 +22,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
-from vm_images import build_initramfs, build_python_images
+from vm_images import build_initramfs, build_python_images, uncompressed_kernel
 from vm_packages import NotInstallableError, install_tools, unpack, unpack_kernel, which
 
 HERE: Final = Path(__file__).resolve().parent
@@ -30,6 +30,7 @@ CHECKOUT: Final = HERE.parents[1]
 CANNOT_RUN_HERE: Final = 77
 TIMED_OUT: Final = 124
 NO_RESULT: Final = 125
+ABANDONED_S: Final = 3600.0
 GUEST_OUTPUT: Final = "/run/socketcan_vm"  # in the guest: a folder of the host, the one place it can write to
 
 
@@ -112,15 +113,16 @@ def qemu_command(kernel: Path, initramfs: Path, images: list[Path], job: Path) -
 
     The guest's clock counts instructions, 1 ns each (-icount): to its programs this is a processor of constant speed, a
     few times slower than ours, however busy the host is. A real-time loop in the guest keeps its deadlines; the minutes
-    that the emulation takes pass outside. While all of the guest sleeps, its clock is the host's.
+    that the emulation takes pass outside. While all of the guest sleeps, its clock is the host's. (erms, fsrm: an
+    emulated `rep movsb` goes byte by byte, so let nobody prefer it.)
     """
     qemu = which("qemu-system-x86_64")
     assert qemu is not None
     command = [
-        qemu, "-accel", "tcg,thread=single", "-icount", "shift=0", "-cpu", "max,erms=off,fsrm=off", "-m", "3072", "-nic", "none", "-no-reboot",
-        "-nodefaults", "-no-user-config", "-display", "none", "-rtc", "base=utc", "-serial", "stdio",
-        "-kernel", str(kernel), "-initrd", str(initramfs),
-        "-append", "console=ttyS0 loglevel=0 panic=-1 mitigations=off random.trust_cpu=on",
+        qemu, "-accel", "tcg,thread=single", "-icount", "shift=0", "-machine", "q35", "-cpu", "max,erms=off,fsrm=off",
+        "-m", "3072", "-nic", "none", "-no-reboot", "-nodefaults", "-no-user-config", "-display", "none",
+        "-rtc", "base=utc", "-serial", "stdio", "-kernel", str(kernel), "-initrd", str(initramfs),
+        "-append", "console=ttyS0 loglevel=0 panic=-1 mitigations=off init_on_alloc=0 apparmor=0 audit=0",
     ]  # fmt: skip
     command += ["-virtfs", "local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap"]
     command += ["-virtfs", f"local,path={_quoted(job)},mount_tag=job,security_model=none"]
@@ -189,6 +191,9 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # unwinds, which ends qemu
     start = time.monotonic()
     folder = cache_folder()
+    for left in folder.glob("guest-*"):  # by a run that was killed
+        if time.time() - left.stat().st_mtime > ABANDONED_S:
+            shutil.rmtree(left, ignore_errors=True)
     try:
         install_tools()
         kernel, release = unpack_kernel(folder)
@@ -196,6 +201,7 @@ def main() -> int:
     except NotInstallableError as reason:
         print(f"socketcan_vm: cannot run here: {reason}", flush=True)
         return CANNOT_RUN_HERE
+    image = uncompressed_kernel(kernel / "boot" / f"vmlinuz-{release}", folder)
     initramfs = build_initramfs(kernel, release, busybox, HERE / "init", folder)
     images = build_python_images(folder, CHECKOUT / "requirements.lock", keep=arguments.keep_images)
     caches = folder / "caches"
@@ -204,9 +210,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="guest-", dir=folder) as job:
         mounts = [(f"vd{letter}", path) for letter, (_, path) in zip("abcdef", images, strict=False)]
         write_job(Path(job), command, mounts, caches, arguments.time_limit)
-        qemu = qemu_command(
-            kernel / "boot" / f"vmlinuz-{release}", initramfs, [image for image, _ in images], Path(job)
-        )
+        qemu = qemu_command(image, initramfs, [path for path, _ in images], Path(job))
         code = run_guest(qemu, arguments.time_limit)
         last_output = folder / "last-output"
         shutil.rmtree(last_output, ignore_errors=True)

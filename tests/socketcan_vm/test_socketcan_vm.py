@@ -1,6 +1,8 @@
 """The host's side of the virtual machine, without booting one."""
 
 import json
+import lzma
+import struct
 import sys
 import time
 import tomllib
@@ -10,7 +12,7 @@ from typing import Any
 import pytest
 from guest_tests import faults_of
 from run import NO_RESULT, TIMED_OUT, exit_code_of, qemu_command, run_guest
-from vm_images import load_order
+from vm_images import load_order, uncompressed_kernel
 from vm_packages import version_key
 
 GOOD_REPORT: dict[str, Any] = {
@@ -32,6 +34,25 @@ def test_modules_come_after_what_they_need() -> None:
 def test_unknown_module_is_an_error() -> None:
     with pytest.raises(KeyError, match="vcan"):
         load_order("k/can.ko:\n", "", ("vcan",))
+
+
+def test_kernel_is_unpacked_where_the_header_says(tmp_path: Path) -> None:
+    elf = b"\x7fELF" + bytes(range(256))
+    payload = lzma.compress(elf) + struct.pack("<I", len(elf))  # the kernel's build adds the size
+    image = bytearray(3 * 512)  # boot sector, 2 sectors of set-up
+    image[0x1F1] = 2
+    struct.pack_into("<II", image, 0x248, 7, len(payload))
+    path = tmp_path / "vmlinuz-6.1.0-56-amd64"
+    path.write_bytes(bytes(image) + b"decoder" + payload + b"what follows")
+    unpacked = uncompressed_kernel(path, tmp_path)
+    assert unpacked != path
+    assert unpacked.read_bytes() == elf
+
+
+def test_kernel_packed_otherwise_is_left_to_boot_itself(tmp_path: Path) -> None:
+    path = tmp_path / "vmlinuz"
+    path.write_bytes(bytes(4096))
+    assert uncompressed_kernel(path, tmp_path) == path
 
 
 def test_newest_kernel_is_found_by_number() -> None:
