@@ -18,6 +18,7 @@ BLOCK = re.compile(r"```sh\n(.*?)```", re.DOTALL)
 SPAN = re.compile(r"`(hil [^`]*)`|^\$ (?:sudo )?(hil .*)$|^(hil .*)$", re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#\s]+)\)")
 # `make test` runs this very test, and `make bench` is the bench of the next test for longer.
+TRIES = 3  # of a real-time command: a machine that stalls for 0.1 s makes an honest bench end in a fault
 MAKE = {"make bench": ".venv/bin/hil bench", "make test": ".venv/bin/pytest"}
 
 
@@ -37,19 +38,20 @@ def test_every_command_runs(page: Path, tmp_path: Path) -> None:
                 )
                 assert plan.returncode == 0 and MAKE[command] in plan.stdout, plan.stderr
                 continue
-            done = subprocess.run(
-                command,
-                shell=True,
-                cwd=tmp_path,
-                env=environment,
-                capture_output=True,
-                text=True,
-                timeout=200,
-                check=False,
-            )
-            # A verdict on accuracy or rate is the machine's; anything else means that the page is wrong.
-            accepted = (0, 4) if command.startswith("hil bench") and "--lockstep" not in command else (0,)
-            assert done.returncode in accepted, f"{command}\n{done.stdout}\n{done.stderr}"
+            for _ in range(TRIES):
+                done = subprocess.run(
+                    command,
+                    shell=True,
+                    cwd=tmp_path,
+                    env=environment,
+                    capture_output=True,
+                    text=True,
+                    timeout=200,
+                    check=False,
+                )
+                if done.returncode == 0:
+                    break
+            assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
 
 
 def test_make_bench_is_the_bench(tmp_path: Path) -> None:

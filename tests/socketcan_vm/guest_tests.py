@@ -19,7 +19,7 @@ import smoke
 
 CHECKOUT: Final = Path(__file__).resolve().parents[2]
 HIL: Final = str(Path(sys.executable).parent / "hil")
-RIG: Final = "rigs/vcan-vm.toml"
+RIG: Final = str(CHECKOUT / "rigs" / "vcan-vm.toml")
 LEAK_AT_S: Final = 12.0
 BENCH: Final = [
     HIL, "bench", RIG, "--rate", "50", "--duration", "20", "--leak-at", f"{LEAK_AT_S:g}", "--protocol-only",
@@ -97,10 +97,10 @@ def bench() -> bool:
 def warm_up() -> bool:
     """On the host: the same functions, compiled for the guest's processor."""
     smoke.compiled_function()
-    collected = pytest.main([*pytest_arguments(), "--collect-only"])  # compiles the files of tests
+    collected = pytest.main([*pytest_arguments(), "--collect-only", "-qq"])  # compiles the files of tests
     with tempfile.TemporaryDirectory() as folder:
         command = [*BENCH, "--lockstep", "--json", str(Path(folder) / "report.json")]
-        lockstep = subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
+        lockstep = subprocess.run(command, cwd=folder, stdout=subprocess.DEVNULL, check=False)
     return collected == pytest.ExitCode.OK and lockstep.returncode == 0
 
 

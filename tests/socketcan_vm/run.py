@@ -188,7 +188,6 @@ def main() -> int:
     if sys.prefix == sys.base_prefix:
         parser.error(f"run it with the project's environment: {CHECKOUT}/.venv/bin/python {sys.argv[0]}")
     command = arguments.command or [sys.executable, str(HERE / "guest_tests.py")]
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # unwinds, which ends qemu
     start = time.monotonic()
     folder = cache_folder()
     for left in folder.glob("guest-*"):  # by a run that was killed
@@ -220,6 +219,7 @@ def main() -> int:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # unwinds, which ends qemu
     try:
         sys.exit(main())
     except KeyboardInterrupt:

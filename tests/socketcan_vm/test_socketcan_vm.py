@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 from guest_tests import faults_of
-from run import NO_RESULT, TIMED_OUT, exit_code_of, qemu_command, run_guest
+from run import CANNOT_RUN_HERE, NO_RESULT, TIMED_OUT, exit_code_of, main, qemu_command, run_guest
 from vm_images import load_order, uncompressed_kernel
-from vm_packages import version_key
+from vm_packages import NotInstallableError, install_tools, version_key
 
 GOOD_REPORT: dict[str, Any] = {
     "bus": {"interface": "socketcan"},
@@ -58,6 +58,25 @@ def test_kernel_packed_otherwise_is_left_to_boot_itself(tmp_path: Path) -> None:
 def test_newest_kernel_is_found_by_number() -> None:
     names = ["linux-image-6.1.0-9-amd64", "linux-image-6.1.0-56-amd64", "linux-image-5.10.0-99-amd64"]
     assert max(names, key=version_key) == "linux-image-6.1.0-56-amd64"
+
+
+def test_without_root_the_command_to_type_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vm_packages.which", lambda program: None if "qemu" in program else f"/usr/bin/{program}")
+    monkeypatch.setattr("os.geteuid", lambda: 1000)
+    with pytest.raises(NotInstallableError, match="sudo apt-get install -y --no-install-recommends qemu-system-x86`"):
+        install_tools()
+
+
+def test_a_machine_without_apt_cannot_run_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr("vm_packages.which", lambda _: None)
+    monkeypatch.setattr("run.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("sys.argv", ["run.py"])
+    assert main() == CANNOT_RUN_HERE == 77
+    printed = capsys.readouterr().out.splitlines()
+    assert len(printed) == 1
+    assert "qemu-system-x86, kmod, squashfs-tools, cpio" in printed[0]
 
 
 def test_exit_code_is_the_last_line_alone() -> None:
