@@ -137,15 +137,30 @@ class ActuatorNode:
         return output.values, list(self.codec.slots(index)).index(self.codec.slot(path))
 
     def step(self, frames: NDArray[np.void], n_frames: int, t_ns: int, periods: int) -> Sequence[tuple[int, bytes]]:
-        """Advance by `periods`, measure, then take the commands in `frames[:n_frames]`; returns the frames to send."""
-        spool = self.spool_v
-        for _ in range(periods):
-            self.plant.step(spool, self._rng.standard_normal(N_STATES), self.dt)
+        """Advance by `periods`, measure, then take the commands in `frames[:n_frames]`; returns the frames to send.
+
+        Periods that this process missed are made up for with the commands that came meanwhile, one per period: the
+        cylinder did not stop because its simulator did.
+        """
+        taken = 0
+        for missed in range(periods - 1, 0, -1):
+            then_ns = t_ns - missed * self.period_ns
+            self._log(then_ns, self._advance())
+            self._take_commands(frames[taken : taken + 1], min(1, n_frames - taken), then_ns)
+            self._inject(then_ns)
+            taken = min(taken + 1, n_frames)
+        spool = self._advance()
         outgoing = self._measure(spool)
         self._log(t_ns, spool)
-        self._take_commands(frames, n_frames, t_ns)
+        self._take_commands(frames[taken:], n_frames - taken, t_ns)
         self._inject(t_ns)
         return outgoing
+
+    def _advance(self) -> float:
+        """One period with the spool as it stands, V."""
+        spool = self.spool_v
+        self.plant.step(spool, self._rng.standard_normal(N_STATES), self.dt)
+        return spool
 
     def _measure(self, spool_v: float) -> list[tuple[int, bytes]]:
         plant, codec = self.plant, self.codec

@@ -11,11 +11,11 @@ ROOT = Path(__file__).parents[1]
 HIL = [sys.executable, "-m", "servohil.hil.cli"]
 
 
-# For real processes on a machine that may stall for a second: slow motion, and limits that a stall alone does not break.
+# For real processes on a machine that may stall for a second: slow motion, limits that a stall alone does not break.
 PATIENT = {
     "amplitude_m = 0.15": "amplitude_m = 0.05",
     "omega_rad_per_s = 2.0": "omega_rad_per_s = 1.0",
-    "sensor_age_periods = 100": "sensor_age_periods = 2000",
+    "sensor_age_periods = 250": "sensor_age_periods = 2000",
     "overruns_hold = 30": "overruns_hold = 1000",
     "overruns_fault = 100": "overruns_fault = 2000",
     'pressure_min_pa = "-1 bar"': 'pressure_min_pa = "-2 bar"',
