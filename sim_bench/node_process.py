@@ -64,9 +64,11 @@ def run_node(rig: Rig, port: Port, leak: LeakPlan | None, truth_path: Path | Non
     pacer.start()
     steps, periods = 0, 1
     while not stop.asked:
-        now = pacer.wait()
+        # The plant lives on the grid of deadlines: time that was made up for lies in order between the others.
+        t_ns = pacer.deadline_ns
+        pacer.wait()
         n = port.drain(frames)
-        for can_id, data in node.step(frames, n, now, periods):
+        for can_id, data in node.step(frames, n, t_ns, periods):
             port.send(can_id, data)
         periods = 1 + min(pacer.advance(time.monotonic_ns()), LONGEST_CATCH_UP)
         steps += 1

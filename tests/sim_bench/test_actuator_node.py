@@ -1,10 +1,14 @@
 """The simulated node: its watchdog, its leak, its saturation, and what it does about time it has missed."""
 
+import os
+import signal
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_rig import PATIENT, start, wait_until, write_rig
 
 from servohil.drivers.frame import FRAME
 from servohil.hil.assemble import command_message, load_bus_codec, sensor_messages
@@ -118,3 +122,28 @@ def test_a_full_truth_log_keeps_the_newest_rows() -> None:
     for t in range(5):
         log.append((t, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0))
     assert log.rows()["t_mono_ns"].tolist() == [2, 3, 4]
+
+
+def test_the_truth_of_a_real_time_node_is_in_the_order_of_time(tmp_path: Path) -> None:
+    """Also through a stall: the process is stopped for 50 ms in the middle."""
+    truth = tmp_path / "truth.npy"
+    node = start("rig", write_rig(tmp_path, PATIENT), "--truth", truth)
+    assert node.stdout is not None
+    node.stdout.readline()  # "bus: ..."
+    wait_until(lambda: os.sched_getscheduler(node.pid) != os.SCHED_OTHER or cpu_s(node.pid) > 6.0, "its loop", 90.0)
+    for _ in range(3):
+        node.send_signal(signal.SIGSTOP)
+        stopped = time.monotonic()
+        wait_until(lambda stopped=stopped: time.monotonic() - stopped > 0.05, "50 ms")
+        node.send_signal(signal.SIGCONT)
+    node.send_signal(signal.SIGTERM)
+    output, _ = node.communicate(timeout=60)
+    assert node.returncode == 0, output
+    times = np.load(truth, allow_pickle=False)["t_mono_ns"]
+    assert len(times) > 50
+    assert (np.diff(times) == PERIOD).all()
+
+
+def cpu_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
