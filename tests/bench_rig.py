@@ -18,7 +18,6 @@ PATIENT = {
     "sensor_age_periods = 250": "sensor_age_periods = 2000",
     "overruns_hold = 30": "overruns_hold = 1000",
     "overruns_fault = 100": "overruns_fault = 2000",
-    'pressure_min_pa = "-1 bar"': 'pressure_min_pa = "-2 bar"',
 }
 
 
