@@ -176,7 +176,7 @@ ONE_LINE = [
     (('"ValveCommand.command"', '"ValveStatus.command"'), 'signals.command = "ValveStatus.command": ValveStatus is received; allowed: a message that only we send'),
     (('position_max_m = "580 mm"', 'position_max_m = "601 mm"'), 'limits.position_max_m = "601 mm": must be within the stroke, 0..0.6 m'),
     (('position_min_m = "20 mm"', 'position_min_m = "-1 mm"'), 'limits.position_min_m = "-1 mm": must be within the stroke, 0..0.6 m'),
-    (('supply_min_pa = "100 bar"', 'supply_min_pa = "210 bar"'), 'limits.supply_min_pa = "210 bar": must be within pressure_min_pa = -100000.0 and pressure_max_pa = 21000000.0'),
+    (('supply_min_pa = "100 bar"', 'supply_min_pa = "210 bar"'), 'limits.supply_min_pa = "210 bar": must be within pressure_min_pa = -200000.0 and pressure_max_pa = 21000000.0'),
     (("ramp_down_s = 0.1", 'ramp_down_s = "4 ms"'), 'limits.ramp_down_s = "4 ms": must be at least command_max_v / command_slew_v_per_s = 0.005 s: a stop keeps the slew limit too'),
     (("amplitude_m = 0.15", "amplitude_m = 0.29"), "reference.amplitude_m = 0.29: offset_m = 0.3 makes it 0.01..0.59 m; limits are 0.02..0.58 m"),
     (("omega_rad_per_s = 2.0", "omega_rad_per_s = 8"), "reference.omega_rad_per_s = 8: peak speed 1.2 m/s; limits.speed_max_mps is 1.0"),

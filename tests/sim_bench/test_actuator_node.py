@@ -131,6 +131,8 @@ def test_the_truth_of_a_real_time_node_is_in_the_order_of_time(tmp_path: Path) -
     assert node.stdout is not None
     node.stdout.readline()  # "bus: ..."
     wait_until(lambda: os.sched_getscheduler(node.pid) != os.SCHED_OTHER or cpu_s(node.pid) > 6.0, "its loop", 90.0)
+    started = cpu_s(node.pid)
+    wait_until(lambda: cpu_s(node.pid) > started + 0.3, "some steps", 60.0)
     for _ in range(3):
         node.send_signal(signal.SIGSTOP)
         stopped = time.monotonic()
