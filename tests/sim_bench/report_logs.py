@@ -6,24 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servohil.hil.snapshot import SNAPSHOT
+from servohil.sim_bench.actuator_node import TRUTH
 from servohil.sim_bench.report import RunFacts
 
 PERIOD_NS = 1_000_000
 LOOP_START_NS = 7_000_000_000_123
 ACTIVE_FROM = 400  # cycles before the first ACTIVE one
-TRUTH = np.dtype(
-    [
-        ("t_mono_ns", "<i8"),
-        ("position_m", "<f8"),
-        ("velocity_mps", "<f8"),
-        ("pressure_a_pa", "<f8"),
-        ("pressure_b_pa", "<f8"),
-        ("spool_v", "<f8"),
-        ("leak", "<f8"),
-        ("leak_kind", "<i8"),
-        ("active", "<i8"),
-    ]
-)
 DISABLED, HOLD, ACTIVE = 1, 2, 3
 
 
