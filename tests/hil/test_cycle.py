@@ -197,6 +197,8 @@ def test_hold_comes_to_rest_and_stays(bench: Bench) -> None:
     bench.run(1200)
     assert abs(bench.node.plant.state[1]) > 0.05
     bench.step(Command.HOLD)
+    first = bench.step()
+    assert first["ref_velocity_mps"] == pytest.approx(bench.node.plant.state[1], abs=0.02)  # no jump on entry
     bench.run(1500)
     position = bench.node.plant.state[0]
     bench.run(500)
