@@ -14,9 +14,10 @@ from servohil.estimators.fingerprint import NotIdentifiableError, fingerprint
 MODEL = """
 from constants import RATE
 import helper
+import unique
 
 def f(x, u, p, dx):
-    dx[0] = -RATE * x[0] + helper.gain(u[0])
+    dx[0] = -RATE * x[0] + helper.gain(u[0]) + unique.TINY
 
 def h(x, u, p, y):
     y[0] = x[0]
@@ -59,7 +60,10 @@ def run(folder: Path, script: str = SCRIPT) -> list[float]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    for name, text in (("user_model", MODEL), ("helper", HELPER), ("deeper", DEEPER), ("constants", "RATE = 0.5\n")):
+    # The cache outlives a run of the tests: a model of its own per run, or the first start would be served from it.
+    unique = f"TINY = {uuid.uuid4().int % 10**9}e-30\n"
+    sources = {"user_model": MODEL, "helper": HELPER, "deeper": DEEPER, "constants": "RATE = 0.5\n", "unique": unique}
+    for name, text in sources.items():
         (tmp_path / f"{name}.py").write_text(text)
     return tmp_path
 
