@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 BIN := .venv/bin
 STAMP := .venv/.locked
 
-.PHONY: setup bench test check test-socketcan proto lock clean
+.PHONY: setup bench test nightly check test-socketcan proto lock clean
 
 setup: $(STAMP)
 
@@ -21,6 +21,10 @@ bench: setup
 
 test: setup check
 	$(BIN)/pytest
+
+# Grids and long Monte Carlo that take minutes.
+nightly: setup
+	$(BIN)/pytest -m nightly --timeout 3000
 
 check: setup
 	$(BIN)/ruff check .

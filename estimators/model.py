@@ -4,7 +4,11 @@
     def h(x, u, p, y): ...    fills y with the outputs
 
 Both are compiled by numba: float64 arithmetic, `math`, elementwise numpy, loops and calls of other compiled functions.
-Division by zero gives inf, as in numpy.
+Division by zero gives inf, as in numpy. States or outputs that do not subtract like numbers, as angles, bring
+
+    def residual(a, b, out): ...   fills out with a - b, wrapped
+
+and every difference and mean in a filter goes through it; means are taken about the central sigma point.
 """
 
 import math
@@ -22,6 +26,7 @@ from servohil.estimators.specialise import specialise
 
 Vector = NDArray[np.float64]
 ModelFunction = Callable[[Vector, Vector, Vector, Vector], None]
+Residual = Callable[[Vector, Vector, Vector], None]
 
 
 class ModelError(ValueError):
@@ -47,6 +52,12 @@ def _outputs(x: Vector, u: Vector, p: Vector, y: Vector) -> None:
     h(x, u, p, y)
 
 
+def difference(a: Vector, b: Vector, out: Vector) -> None:
+    """Fill out with a - b: the residual of states or outputs that are plain numbers."""
+    for i in range(out.shape[0]):
+        out[i] = a[i] - b[i]
+
+
 class Model:
     """A model with its sizes, parameters and sample period; immutable.
 
@@ -62,6 +73,8 @@ class Model:
         n_u: number of inputs.
         names: of the n states, for messages and plots.
         units: of the n states.
+        state_residual: plain function (a, b, out) that fills out (n,) with the difference of two states; None: a - b.
+        output_residual: the same for outputs, (m,).
 
     Raises:
         ModelError: a size, a parameter or a function breaks a rule; names it.
@@ -80,6 +93,8 @@ class Model:
         n_u: int | None = None,
         names: Sequence[str] | None = None,
         units: Sequence[str] | None = None,
+        state_residual: Residual | None = None,
+        output_residual: Residual | None = None,
     ) -> None:
         self.n = _count("n", n)
         self.m = _count("m", m)
@@ -96,18 +111,31 @@ class Model:
         self.units = _labels("units", units, self.n, ("",) * self.n)
         f = _plain("f", f)
         h = _plain("h", h)
-        self._compiled = {name: njit(nogil=True, error_model="numpy")(g) for name, g in (("f", f), ("h", h))}
+        residuals = {
+            name: difference if g is None else _plain(name, g)
+            for name, g in (("state_residual", state_residual), ("output_residual", output_residual))
+        }
+        functions = {
+            "f": f,
+            "h": h,
+            "subtract_x": residuals["state_residual"],
+            "subtract_y": residuals["output_residual"],
+        }
+        self._compiled = {name: njit(nogil=True, error_model="numpy")(g) for name, g in functions.items()}
         self._stages = np.zeros(STAGES * self.n)
         signature = f"void({VECTOR}, {VECTOR}, {VECTOR}, {VECTOR})"
         sizes = (self.n, self.n_u, self.p)
         self._advance = self.specialise(_advance, signature, lambda: _check_fills("f", f, *sizes, self.n))
         self._outputs = self.specialise(_outputs, signature, lambda: _check_fills("h", h, *sizes, self.m))
+        for (name, residual), size in zip(residuals.items(), (self.n, self.m), strict=True):
+            if residual is not difference:
+                _check_residual(name, residual, size)
 
     def specialise(
         self, kernel: Callable[..., Any], signature: str, check: Callable[[], None] | None = None, **values: Any
     ) -> Any:
-        """Compile a kernel around this model: it finds f, h, integrate, N, M, N_U, DT, SUBSTEPS and `values` among its
-        globals. See `specialise.specialise`."""
+        """Compile a kernel around this model: it finds f, h, subtract_x, subtract_y, integrate, N, M, N_U, DT, SUBSTEPS
+        and `values` among its globals. See `specialise.specialise`."""
         integrators = {"rk4": rk4, "euler": euler, "discrete": discrete}
         names = {
             **self._compiled, "integrate": integrators[self.integrator], "N": self.n, "M": self.m, "N_U": self.n_u,
@@ -143,7 +171,7 @@ def _count(name: str, value: object, least: int = 1) -> int:
     return int(value)
 
 
-def _plain(name: str, function: ModelFunction) -> ModelFunction:
+def _plain(name: str, function: Callable[..., None]) -> Any:
     if not callable(function):
         raise ModelError(f"{name} = {function!r}: must be a function that fills its last argument")
     return function.py_func if isinstance(function, Dispatcher) else function
@@ -203,6 +231,21 @@ def _check_fills(name: str, function: ModelFunction, n: int, n_u: int, p: Vector
             f"{name} does not fill element {int(np.flatnonzero(~same)[0])} of its last argument ({size} elements): "
             "every element must be assigned"
         )
+
+
+def _check_residual(name: str, residual: Residual, size: int) -> None:
+    """The residual of equal values is zero, and every element is filled."""
+    value = np.linspace(0.25, 0.75, size)
+    out = np.full(size, np.nan)
+    call: Callable[..., object] = residual
+    try:
+        returned: object = call(value, value.copy(), out)
+    except Exception as error:
+        raise ModelError(f"{name} failed with a, b, out ({size},): {type(error).__name__}: {error}") from error
+    if returned is not None:
+        raise ModelError(f"{name} returned {returned!r}: it must fill its last argument and return nothing")
+    if (out != 0.0).any():
+        raise ModelError(f"{name}(a, a) = {out}: the residual of equal values must be 0 in all {size} elements")
 
 
 def _reason(error: Exception) -> str:

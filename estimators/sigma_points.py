@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from math import isfinite, sqrt
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -80,13 +81,15 @@ def draw(x: Vector, upper: Matrix, spread: float, n: int, points: Matrix) -> Non
             points[1 + n + i, j] = x[j] - offset
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
-def mean(points: Matrix, count: int, columns: int, outer: float, out: Vector) -> None:
-    """Fill out (columns,) with the weighted mean, summed about the central point: exact for equal points."""
+@njit(nogil=True, forceinline=True, error_model="numpy")
+def mean(subtract: Any, points: Matrix, count: int, columns: int, outer: float, scratch: Vector, out: Vector) -> None:
+    """Fill out (columns,) with the weighted mean, summed about the central point: exact for equal points, and right
+    for angles, whose differences `subtract` wraps."""
     for j in range(columns):
         out[j] = 0.0
     for i in range(1, count):
+        subtract(points[i], points[0], scratch[:columns])
         for j in range(columns):
-            out[j] += points[i, j] - points[0, j]
+            out[j] += scratch[j]
     for j in range(columns):
         out[j] = points[0, j] + outer * out[j]

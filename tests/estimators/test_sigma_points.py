@@ -1,7 +1,11 @@
 import numpy as np
 import pytest
+from numba import njit
 
+from servohil.estimators.model import difference
 from servohil.estimators.sigma_points import SigmaPointError, draw, mean, scaled_weights
+
+subtract = njit(difference)
 
 
 @pytest.mark.parametrize("n", [1, 4, 11])
@@ -13,7 +17,7 @@ def test_points_carry_the_mean_and_covariance_they_were_drawn_from(n, alpha, bet
     points = np.empty((2 * n + 1, n))
     draw(x, np.ascontiguousarray(root.T), weights.spread, n, points)
     average = np.empty(n)
-    mean(points, 2 * n + 1, n, weights.outer, average)
+    mean(subtract, points, 2 * n + 1, n, weights.outer, np.empty(n), average)
     np.testing.assert_allclose(average, x, rtol=1e-12)
     deviations = points[1:] - x
     np.testing.assert_allclose(weights.outer * deviations.T @ deviations, root @ root.T, rtol=1e-10, atol=1e-10)

@@ -1,0 +1,125 @@
+"""The sigma-point halves of a step, by square roots: predict the state, predict the measurement (P1 algorithm 1)."""
+
+from math import isnan, sqrt
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from servohil.estimators.measurement_update import within
+from servohil.estimators.sigma_points import draw, mean
+from servohil.estimators.triangularise import triangularise
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+
+@njit(nogil=True, forceinline=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def propagate(
+    f: Any, integrate: Any, n: int, dt: float, substeps: int, last_x: Vector, last_factor: Matrix, spread: float,
+    u: Vector, p: Vector, points: Matrix, stages: Matrix,
+) -> None:  # fmt: skip
+    """Draw the points (2n + 1, n) about the last estimate and move each over one period."""
+    draw(last_x, last_factor, spread, n, points)
+    for i in range(2 * n + 1):
+        integrate(f, n, dt, substeps, points[i], u, p, stages)
+
+
+@njit(nogil=True, forceinline=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def predict(
+    subtract: Any, n: int, points: Matrix, q: Matrix, root_centre: float, outer: float, stack: Matrix,
+    scratch: Vector, x: Vector, factor: Matrix,
+) -> bool:  # fmt: skip
+    """Fill the predicted x and factor: S- = tria [sqrt(w) (X - x-), S_q]. False: not finite.
+
+    Args:
+        subtract: compiled residual of two states, see `Model`.
+        points: (2n + 1, n) propagated.
+        q: (n, n) transposed lower factor of Q.
+        root_centre, outer: weights.
+        stack: (>= 3n + 1, >= n) scratch.
+        scratch: (>= n,).
+        x, factor: filled.
+    """
+    points_n = 2 * n + 1
+    root_outer = sqrt(outer)
+    mean(subtract, points, points_n, n, outer, stack[0], x)
+    for i in range(points_n):
+        root = root_centre if i == 0 else root_outer
+        subtract(points[i], x, stack[i, :n])
+        for j in range(n):
+            stack[i, j] *= root
+    for i in range(n):
+        for j in range(n):
+            stack[points_n + i, j] = q[i, j]
+    triangularise(stack, points_n + n, n, scratch)
+    for i in range(n):
+        for j in range(n):
+            factor[i, j] = stack[i, j] if j >= i else 0.0
+    good = within(x)
+    for i in range(n):
+        good = good and within(factor[i])
+    return good
+
+
+@njit(nogil=True, forceinline=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def predict_measurement(
+    h: Any, subtract_x: Any, subtract_y: Any, n: int, m: int, x: Vector, factor: Matrix, r: Matrix, spread: float,
+    root_centre: float, outer: float, u: Vector, p: Vector, y: Vector, present: int, points: Matrix, outputs: Matrix,
+    stack: Matrix, mean_y: Vector, s: Matrix, innovation: Vector, e: Vector, scratch: Vector,
+) -> None:  # fmt: skip
+    """Draw the points again about the prediction, pair each with its output, and fill what the correction needs.
+
+    Args:
+        h, subtract_x, subtract_y: compiled model functions.
+        x, factor: prediction.
+        r: (m, m) transposed lower factor of R.
+        y: (m,) measurement, NaN = missing.
+        present: channels present.
+        points, outputs, stack, scratch: scratch; the stack is left as `correct` takes it, in 2n + 1 + m rows.
+        mean_y: (m,) filled with the predicted measurement.
+        s: (m, m) filled with the innovation covariance of all channels: a monitor wants it for missing ones too.
+        innovation: (m,) filled, NaN where missing.
+        e: (m,) filled with the innovation of the present channels.
+    """
+    points_n = 2 * n + 1
+    root_outer = sqrt(outer)
+    draw(x, factor, spread, n, points)
+    for i in range(points_n):
+        h(points[i], u, p, outputs[i])
+    mean(subtract_y, outputs, points_n, m, outer, stack[0], mean_y)
+    subtract_y(y, mean_y, innovation)
+    for i in range(points_n):
+        subtract_y(outputs[i], mean_y, scratch[:m])
+        for c in range(m):
+            outputs[i, c] = scratch[c]
+    columns = 0
+    for c in range(m):
+        for d in range(c + 1):
+            total = 0.0
+            for i in range(1, points_n):
+                total += outputs[i, c] * outputs[i, d]
+            total *= outer
+            total += root_centre * root_centre * outputs[0, c] * outputs[0, d]
+            for i in range(m):
+                total += r[i, c] * r[i, d]
+            s[c, d] = total
+            s[d, c] = total
+        if isnan(y[c]):
+            innovation[c] = y[c]
+        else:
+            e[columns] = innovation[c]
+            for i in range(points_n):
+                stack[i, columns] = (root_centre if i == 0 else root_outer) * outputs[i, c]
+            for i in range(m):
+                stack[points_n + i, columns] = r[i, c]
+            columns += 1
+    for i in range(points_n):
+        root = root_centre if i == 0 else root_outer
+        subtract_x(points[i], x, stack[i, present : present + n])
+        for j in range(n):
+            stack[i, present + j] *= root
+    for i in range(m):
+        for j in range(n):
+            stack[points_n + i, present + j] = 0.0
