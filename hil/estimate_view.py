@@ -8,8 +8,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from servohil.estimators import SRUKF
+from servohil.estimators.arena import arena_offsets
 from servohil.estimators.models import cylinder
-from servohil.estimators.srukf_layout import arena_offsets
 
 Vector = NDArray[np.float64]
 
