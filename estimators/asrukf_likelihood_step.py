@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from servohil.estimators.adaptive_layout import HOLD, N_UPDATES, adaptive_offsets
 from servohil.estimators.arena import COUNTERS, N_DIVERGED, arena_offsets
 from servohil.estimators.health import DIVERGED, GATED, NOT_FINITE_INPUT, REPAIRED, WRONG_SIZE
 from servohil.estimators.measurement_update import admit, correct
@@ -67,7 +68,8 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     e = work[w_e:w_scratch]
     scratch = work[w_scratch:w_end]
     room = work[w_end:]
-    own = arena[a_own:]
+    adaptive = arena[a_own:]
+    own = arena[a_own + adaptive_offsets(n, m)[2] :]
     size = entry_size(n, m)
     written = int(own[WRITTEN])
     entry = noise_offsets(n, m)[17] + (written % RING) * size
@@ -107,9 +109,11 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     for i in range(m):
         own[innovation + i] = nan if status & (GATED | REPAIRED) else arena[a_innovation + i]
     own[WRITTEN] = written + 1.0
+    hold = adaptive[HOLD] != 0.0
     if not regular:
         restart(own, n, m, factor)
-    elif take_turn(own, n, m, RING, WINDOW, TURN, CHANGE_LIMIT, factor, room) or started:
+    elif take_turn(own, n, m, RING, WINDOW, TURN, CHANGE_LIMIT, hold, factor, room) or started:
+        adaptive[N_UPDATES] += 1.0
         theta = noise_offsets(n, m)[0]
         for i in range(n):
             for j in range(n):

@@ -14,7 +14,7 @@ from servohil.estimators.covariance import checked_factor, lower_factor
 from servohil.estimators.gate import gate_limits
 from servohil.estimators.health import DIVERGED, Health
 from servohil.estimators.model import VECTOR, Model
-from servohil.estimators.trajectory import Trajectory, run
+from servohil.estimators.trajectory import Trajectory, noise_factors, run
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -126,11 +126,13 @@ class Filter:
         self._counters[N_DIVERGED] += 1.0
         return DIVERGED
 
-    def run(self, U: ArrayLike, Y: ArrayLike) -> Trajectory:
+    def run(self, U: ArrayLike, Y: ArrayLike, Q: ArrayLike | None = None, R: ArrayLike | None = None) -> Trajectory:
         """`step` for every row of U (N, n_u) and Y (N, m), looping in compiled code.
 
+        Q (N, n, n) and R (N, m, m), if given, are set before each step; the last ones stay.
+
         Raises:
-            FilterError: wrong shape of U or Y.
+            ValueError: wrong shape of U, Y, Q or R, or a matrix among them that is not positive semidefinite.
         """
         inputs = np.array(U, dtype=np.float64, order="C", ndmin=1)
         outputs = np.array(Y, dtype=np.float64, order="C", ndmin=1)
@@ -139,14 +141,20 @@ class Filter:
             raise FilterError(
                 f"U has shape {inputs.shape}, Y has shape {outputs.shape}: must be (N, {self.model.n_u}), (N, {m})"
             )
+        q, r = noise_factors("Q", Q, count, n), noise_factors("R", R, count, m)
         x, factor, innovation = np.empty((count, n)), np.empty((count, n * n)), np.empty((count, m))
         nis, status = np.empty(count), np.empty(count, dtype=np.int64)
         before = self.arena.copy()
         try:
-            run(self._step, self.arena, self._work, self.model.p, inputs, outputs, x, factor, innovation, nis, status)
+            p, arena = self.model.p, self.arena
+            run(self._step, arena, self._work, p, inputs, outputs, q, r, x, factor, innovation, nis, status)
         except Exception:  # a model function raised somewhere: `step` knows what to do with it
             self.arena[:] = before
             for k in range(count):
+                if len(q):
+                    self._q[:] = q[k].reshape(n, n)
+                if len(r):
+                    self._r[:] = r[k].reshape(m, m)
                 status[k] = self.step(inputs[k], outputs[k])
                 x[k], factor[k], innovation[k], nis[k] = self._x, self._factor.ravel(), self._innovation, self.nis
         upper = factor.reshape(count, n, n)

@@ -11,6 +11,7 @@ GATED: Final = 2
 REPAIRED: Final = 4
 NOT_FINITE_INPUT: Final = 8
 DIVERGED: Final = 16
+TOO_OLD: Final = 32
 GATE_PATIENCE: Final = 100  # steps
 WRONG_SIZE: Final = -1  # of u or y: a programming error, which `step` raises in Python
 
@@ -24,6 +25,7 @@ class Status(IntFlag):
     REPAIRED = REPAIRED  # the correction was numerically meaningless and left out, or a gate shut too long was opened
     NOT_FINITE_INPUT = NOT_FINITE_INPUT  # u not finite or y infinite: nothing was done
     DIVERGED = DIVERGED  # the prediction was not finite: rolled back to the estimate before
+    TOO_OLD = TOO_OLD  # a late measurement from before what the ring of `DelayedFilter` remembers: not used
 
 
 @dataclass(frozen=True)

@@ -87,6 +87,21 @@ def correct(
     Returns:
         status bits, nis, log-likelihood.
     """
+    if present > 0:
+        triangularise(stack, rows, present + n, scratch)
+    return commit(stack, present, n, m, e, limits, counters, x, factor, scratch)
+
+
+@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+def commit(
+    stack: Matrix, present: int, n: int, m: int, e: Vector, limits: Vector, counters: Vector,
+    x: Vector, factor: Matrix, scratch: Vector,
+) -> tuple[int, float, float]:  # fmt: skip
+    """The part of `correct` after its QR, for filters that find S_y, K S_y and S+ in another way.
+
+    Args:
+        stack: (>= present + n, >= present + n): upper [S_y' (K S_y)'; 0 S+'].
+    """
     status = OK
     nis = 0.0
     loglik = 0.0
@@ -94,7 +109,6 @@ def correct(
         status |= MISSING
         counters[N_MISSING] += 1.0
     if present > 0:
-        triangularise(stack, rows, present + n, scratch)
         solvable = True
         for c in range(present):
             solvable = solvable and stack[c, c] > SMALLEST_STD

@@ -115,6 +115,8 @@ class Model:
             name: difference if g is None else _plain(name, g)
             for name, g in (("state_residual", state_residual), ("output_residual", output_residual))
         }
+        self.state_residual = residuals["state_residual"]
+        self.output_residual = residuals["output_residual"]
         functions = {
             "f": f,
             "h": h,

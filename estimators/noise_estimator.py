@@ -10,8 +10,6 @@ from servohil.estimators.model import Model
 from servohil.estimators.noise_layout import (
     BY_DATA_R,
     CHANGES,
-    HOLD,
-    PASSES,
     noise_offsets,
     noise_size,
 )
@@ -21,6 +19,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 FIRST_Q: Final = 1e-6  # of P0: what the process noise starts from before the data have spoken
+NEVER: Final = -1e3  # the logarithm that stands for a variance of zero, which stays
 FALSE_CHANGES: Final = 1e-8  # probability per pass
 
 
@@ -59,7 +58,7 @@ class NoiseEstimator:
         return float(2.0 * gammainccinv((self.n + self.m) / 2.0, FALSE_CHANGES))
 
     def start(self, own: Vector, factor: Matrix, q: Vector, r: Vector, r_by_data: bool) -> None:
-        """Forget everything but the hold.
+        """Forget everything.
 
         Args:
             own: (size,) the adaptation's part of the arena.
@@ -67,15 +66,10 @@ class NoiseEstimator:
             q, r: variances to start from; zero: never estimated.
             r_by_data: whether R starts from the data once there are enough.
         """
-        hold = own[HOLD]
         own[:] = 0.0
-        own[HOLD] = hold
         own[BY_DATA_R] = r_by_data
-        with np.errstate(divide="ignore"):
-            logs = np.log(np.concatenate([q, r]))
         theta, anchor, std, motion, _, last_y, curvature = self._at[:7]
-        own[theta:anchor] = np.where(logs == -inf, -1e3, logs)
-        own[anchor:std] = own[theta:anchor]
+        own[theta:anchor] = own[anchor:std] = _logs(np.concatenate([q, r]))
         own[std:motion] = inf
         own[last_y:curvature] = np.nan
         restart(own, self.n, self.m, factor)
@@ -84,24 +78,38 @@ class NoiseEstimator:
         """(n + m,) standard deviations of the natural logarithms of diag Q and diag R; inf before the first pass."""
         return own[self._at[2] : self._at[3]].copy()
 
-    def passes(self, own: Vector) -> int:
-        """Passes that moved Q and R since the start."""
-        return int(own[PASSES])
+    def set_q(self, own: Vector, q: Vector) -> None:
+        """Go on from these variances of the process noise, (n,)."""
+        own[self._at[0] : self._at[0] + self.n] = _logs(q)
+
+    def set_r(self, own: Vector, r: Vector) -> None:
+        """Go on from these variances of the measurement noise, (m,)."""
+        own[self._at[0] + self.n : self._at[1]] = _logs(r)
 
     def changes(self, own: Vector) -> int:
         """Times that the noise was found to have changed, so that older data were dropped."""
         return int(own[CHANGES])
 
 
-def first_variances(model: Model, x0: Vector, P0: Matrix) -> tuple[Vector, Vector]:
+def _logs(variances: Vector) -> Vector:
+    with np.errstate(divide="ignore"):
+        logs = np.log(variances)
+    return np.where(logs == -inf, NEVER, logs)
+
+
+def first_variances(model: Model, x0: Vector, factor: Matrix) -> tuple[Vector, Vector]:
     """Variances that a cold start runs on until the data have spoken.
+
+    Args:
+        model: of the filter.
+        x0: (n,) estimate to start from.
+        factor: (n, n) lower factor of its covariance P0.
 
     Q: a millionth of P0 per step. R: what P0 amounts to at the outputs, so that the first samples count as much as x0.
     """
     n = model.n
     u = np.zeros(model.n_u)
-    factor = np.linalg.cholesky(P0)
     here = model.outputs(x0, u)
     moved = np.array([model.outputs(x0 + factor[:, i], u) - here for i in range(n)])
     r = np.square(np.where(np.isfinite(moved), moved, 0.0)).sum(axis=0)
-    return FIRST_Q * np.diag(P0), np.where(r > 0.0, r, 1.0)
+    return FIRST_Q * np.square(factor).sum(axis=1), np.where(r > 0.0, r, 1.0)

@@ -1,6 +1,5 @@
 """Where the likelihood adaptation keeps its things: the own part of the arena, behind the common one."""
 
-
 from numba.extending import register_jitable
 
 from servohil.estimators.noise_window import lane_count
@@ -15,13 +14,11 @@ from servohil.estimators.noise_window import lane_count
     SAVED,  # and the same once d and P were saved there, else -1
     MARK_AT,  # entry from which the pass is tested for a change of the noise,
     MARKED,  # and the same once sums, d and P were saved there, else -1
-    PASSES,  # passes that changed Q and R
-    HELD,  # passes that did not
+    HELD,  # passes that changed nothing
     CHANGES,  # times that older entries were dropped
-    HOLD,  # 1: somebody asked to keep Q and R as they are
     BY_DATA_R,  # 1: R starts from the data
     SCALARS,
-) = range(14)
+) = range(12)
 
 
 @register_jitable

@@ -17,12 +17,10 @@ from servohil.estimators.noise_layout import (
     CHANGES,
     END,
     HELD,
-    HOLD,
     MARK_AT,
     MARKED,
     NEXT,
     OLDEST,
-    PASSES,
     SAVE_AT,
     SAVED,
     WRITTEN,
@@ -41,7 +39,16 @@ SHORTEST: Final = 100  # steps in the tested part, and in front of it
 
 @njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
 def take_turn(
-    own: Vector, n: int, m: int, ring: int, window: int, steps: int, limit: float, factor: Matrix, room: Vector
+    own: Vector,
+    n: int,
+    m: int,
+    ring: int,
+    window: int,
+    steps: int,
+    limit: float,
+    hold: bool,
+    factor: Matrix,
+    room: Vector,
 ) -> bool:
     """Go on with the pass for `steps` window steps. True: theta changed.
 
@@ -51,6 +58,7 @@ def take_turn(
         ring: entries in the ring, >= window + window / steps + 2.
         window: longest window, steps.
         limit: of the test for a change.
+        hold: Q and R stay as they are; the window moves on.
         factor: (n, n) transposed factor of the filter's present P: where a pass starts anew.
         room: (`room_size`,) scratch.
     """
@@ -93,7 +101,7 @@ def take_turn(
         own[NEXT] = k + 1.0
     if own[NEXT] < own[END]:
         return False
-    better = finish(own, n, m, window, limit, room)
+    better = finish(own, n, m, window, limit, hold, room)
     begin(own, n, m, window, steps)
     return better
 
@@ -108,19 +116,17 @@ def save(d: NDArray[np.float64], P: NDArray[np.float64], n: int, place: Vector) 
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def finish(own: Vector, n: int, m: int, window: int, limit: float, room: Vector) -> bool:
+def finish(own: Vector, n: int, m: int, window: int, limit: float, hold: bool, room: Vector) -> bool:
     """Learn from a complete pass, unless it is no time to learn. True: theta changed."""
     o = noise_offsets(n, m)
     saved, marked, totals = o[8], o[9], o[15]
     length = own[END] - max(own[OLDEST], own[END] - window)
-    if own[HOLD] != 0.0 or length < SHORTEST or own[totals + 2] < SHORTEST or at_rest(own, n, m):
+    if hold or length < SHORTEST or own[totals + 2] < SHORTEST or at_rest(own, n, m):
         own[HELD] += 1.0
         return False
     cut = own[MARKED] >= 0.0 and changed(own, n, m, limit, room)
     better = score(own, n, m, room)
-    if better:
-        own[PASSES] += 1.0
-    else:
+    if not better:
         own[HELD] += 1.0
     if cut:
         own[CHANGES] += 1.0

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from math import isfinite, sqrt
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numba import njit
@@ -16,34 +16,39 @@ class SigmaPointError(ValueError):
     """alpha, beta and kappa do not give a transform that the array form can use."""
 
 
+# Below this the points lie so close together that their differences are rounding.
+SMALLEST_ALPHA: Final = 1e-6
+
+
 @dataclass(frozen=True)
 class Weights:
     """Weights of the 2n + 1 points; the outer points share one weight for mean and covariance."""
 
     spread: float  # points lie at x +- spread * (column of the factor)
-    covariance_centre: float  # >= 0
+    covariance_centre: float  # >= 0 unless asked for otherwise
     outer: float  # > 0
 
 
-def scaled_weights(n: int, alpha: float, beta: float, kappa: float) -> Weights:
+def scaled_weights(n: int, alpha: float, beta: float, kappa: float, *, negative_centre: bool = False) -> Weights:
     """Weights of the scaled transform (van der Merwe 2004): lambda = alpha^2 (n + kappa) - n.
 
-    The array form takes square roots of the covariance weights, so the centre's must not be negative.
+    The array form takes square roots of the covariance weights, so the centre's must not be negative; a form that
+    subtracts may have it so (negative_centre), e.g. with the papers' alpha = 1e-3.
 
     Raises:
-        SigmaPointError: an argument is not finite, alpha <= 0, n + kappa <= 0, or the centre's weight is negative; the
-            message gives the range of alpha that beta and kappa allow.
+        SigmaPointError: an argument is not finite, alpha < 1e-6, n + kappa <= 0, or the centre's weight is negative;
+            the message gives the range of alpha that beta and kappa allow.
     """
     for name, value in (("alpha", alpha), ("beta", beta), ("kappa", kappa)):
         if not isfinite(value):
             raise SigmaPointError(f"{name} = {value!r}: must be finite")
-    if alpha <= 0.0:
-        raise SigmaPointError(f"alpha = {alpha!r}: must be > 0")
+    if alpha < SMALLEST_ALPHA:
+        raise SigmaPointError(f"alpha = {alpha!r}: must be > 0, at least {SMALLEST_ALPHA}")
     if n + kappa <= 0.0:
         raise SigmaPointError(f"kappa = {kappa!r}: n + kappa must be > 0, so kappa > {-n}")
     scale = alpha * alpha * (n + kappa)  # n + lambda
     covariance_centre = (1.0 - n / scale) + 1.0 - alpha * alpha + beta
-    if covariance_centre < 0.0:
+    if covariance_centre < 0.0 and not negative_centre:
         raise SigmaPointError(
             f"alpha = {alpha!r}, beta = {beta!r}, kappa = {kappa!r}: the covariance weight of the central point is "
             f"{covariance_centre:.6g} and must be >= 0; {_allowed_alpha(n, beta, kappa)}"

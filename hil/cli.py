@@ -230,6 +230,17 @@ def doctor(rig: Path) -> None:
     sys.exit(exit_code(checks))
 
 
+@main.command()
+@RIG
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write provenance and claims here.")
+def observability(rig: Path, json_path: Path | None) -> None:
+    """Say which sensors of RIG can tell its states, and how well, along its reference."""
+    with one_clear_line():
+        from servohil.hil.observability_command import observability_command
+
+        click.echo("\n".join(observability_command(load(rig), json_path)))
+
+
 @main.group()
 def benchmark() -> None:
     """Measure this machine; results in the one format of claims."""

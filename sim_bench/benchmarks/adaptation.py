@@ -1,0 +1,105 @@
+"""`hil benchmark adaptation`: what it costs not to know the noise, against a filter that is given the true covariances.
+
+Error from 3 s on, per state, as a ratio of sums of squares to the filter that knows Q and R at every moment; the median
+over seeds. 1.00 = nothing lost. Beside the likelihood form, from two cold starts: the plain filter with the wrong Q and
+R, the papers' Sage-Husa form, and the limited form for R with the true Q of the run's beginning.
+"""
+
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servohil.estimators import ASRUKF, SRUKF
+from servohil.estimators.filter import Filter
+from servohil.hil.claims import Claim
+from servohil.sim_bench.benchmarks.command import Tick
+from servohil.sim_bench.noise_scenarios import P0, SCENARIOS, X0, NoiseScenario, filter_model, simulate
+
+Matrix = NDArray[np.float64]
+
+STATES: Final = ("x", "v", "p1", "p2")
+STEPS: Final = 20_000
+FROM: Final = 3_000  # steps left out at the start
+LIMIT: Final = "<= 1.10"
+LOSS: Final = 0.3
+LOSS_LIMIT: Final = "<= 1.5"
+TINY: Final = 1e-20  # P1's start
+
+
+def with_truth(model_filter: SRUKF, scenario: NoiseScenario, inputs: Matrix, samples: Matrix) -> Matrix:
+    """Estimates (N, 4) of a filter that is told Q and R at every moment."""
+    q, r = scenario.variances(len(inputs))
+    model_filter.reset()
+    edges = [0, *(np.flatnonzero((np.diff(q, axis=0) != 0.0).any(axis=1)) + 1).tolist(), len(inputs)]
+    parts = []
+    for start, end in pairwise(edges):
+        model_filter.Q, model_filter.R = np.diag(q[start]), np.diag(r[start][: model_filter.model.m])
+        parts.append(model_filter.run(inputs[start:end], samples[start:end]).x)
+    return np.vstack(parts)
+
+
+def squared_error(states: Matrix, estimates: Matrix) -> Matrix:
+    """(4,) sums of squares from `FROM` on."""
+    return np.asarray(np.square(states - estimates)[FROM:].sum(axis=0))
+
+
+def competitors(scenario: NoiseScenario) -> dict[str, Filter]:
+    """The filters that do not know, by name."""
+    model = filter_model(scenario)
+    m = model.m
+    tiny = {"Q": TINY * np.eye(4), "R": TINY * np.eye(m)}
+    wrong = {"Q": 1e-13 * np.eye(4), "R": 1e-13 * np.eye(m)}
+    known = {"Q": np.diag(scenario.q), "R": 10.0 * np.diag(scenario.r[:m])}
+    return {
+        "likelihood": ASRUKF(model, X0, P0),
+        "likelihood-tiny-start": ASRUKF(model, X0, P0, **tiny),
+        "wrong": SRUKF(model, X0, P0, **wrong),
+        "sage-husa": ASRUKF(model, X0, P0, **wrong, adaptation="sage-husa"),
+        "limited": ASRUKF(model, X0, P0, **known, adaptation="limited", adapt="R"),
+    }
+
+
+def ratios(
+    scenario: NoiseScenario, filters: dict[str, Filter], seeds: int, loss: float, tick: Callable[[], None]
+) -> dict[str, Matrix]:
+    """(seeds, 4) ratio of squared errors to the filter that knows, for each filter."""
+    knows = SRUKF(filter_model(scenario), X0, P0, np.diag(scenario.q), np.diag(scenario.r[: filter_model(scenario).m]))
+    found: dict[str, list[Matrix]] = {name: [] for name in filters}
+    for seed in range(seeds):
+        inputs, samples, states = simulate(scenario, STEPS, seed, loss)
+        least = squared_error(states, with_truth(knows, scenario, inputs, samples))
+        for name, competitor in filters.items():
+            competitor.reset()
+            with np.errstate(all="ignore"):
+                found[name].append(squared_error(states, competitor.run(inputs, samples).x) / least)
+            tick()
+    return {name: np.array(rows) for name, rows in found.items()}
+
+
+def adaptation_claims(quick: bool, tick: Tick) -> list[Claim]:
+    """A claim per scenario, filter and state; limits for the likelihood form alone."""
+    seeds = 2 if quick else 20
+    command = f"hil benchmark adaptation{' --quick' if quick else ''}"
+    count = 0
+
+    def count_up() -> None:
+        nonlocal count
+        count += 1
+        tick(count)
+
+    def claims(scenario: NoiseScenario, loss: float) -> Iterator[Claim]:
+        filters = competitors(scenario)
+        if loss > 0.0:
+            filters = {"likelihood": filters["likelihood"]}
+        how = f"{command}; {scenario.title}; {loss:.0%} lost; median of {seeds} seeds of {STEPS} steps"
+        for name, rows in ratios(scenario, filters, seeds, loss, count_up).items():
+            limit = None if not name.startswith("likelihood") else (LOSS_LIMIT if loss > 0.0 else LIMIT)
+            for state, ratio in zip(STATES, np.median(rows, axis=0), strict=True):
+                value = float(ratio) if np.isfinite(ratio) else None
+                lost = ".lost" if loss > 0.0 else ""
+                yield Claim.judge(f"adaptation.{scenario.name}{lost}.{name}.{state}", value, "1", limit, how)
+
+    return [claim for scenario in SCENARIOS for loss in (0.0, LOSS) for claim in claims(scenario, loss)]
