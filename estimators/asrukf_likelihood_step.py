@@ -72,7 +72,7 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     own = arena[a_own + adaptive_offsets(n, m)[2] :]
     size = entry_size(n, m)
     written = int(own[WRITTEN])
-    entry = noise_offsets(n, m)[17] + (written % RING) * size
+    entry = noise_offsets(n, m)[19] + (written % RING) * size
     H = entry + n * n
     innovation = H + m * n
     correction = innovation + m
@@ -93,7 +93,7 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     )  # fmt: skip
     regular = regress(outputs, factor, spread, n, m, own[H:innovation].reshape((m, n))) and regular
     subtract_x(x, last_x, room[:n])
-    started = gauge(own, n, m, written, WINDOW, room[:n], y)
+    started = gauge(own, n, m, written, WINDOW, own[H:innovation].reshape((m, n)), room[:n], y)
     for i in range(n):
         own[correction + i] = x[i]
     status, nis, loglik = correct(

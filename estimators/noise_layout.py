@@ -7,6 +7,7 @@ from servohil.estimators.noise_window import lane_count
 # Scalars in front. Step numbers count ring entries since the reset.
 (
     WRITTEN,  # entries written
+    START,  # first entry of the pass under way
     NEXT,  # entry that the pass under way comes to next
     END,  # entry at which it ends
     OLDEST,  # no pass starts before this entry: the noise was another one then
@@ -18,7 +19,7 @@ from servohil.estimators.noise_window import lane_count
     CHANGES,  # times that older entries were dropped
     BY_DATA_R,  # 1: R starts from the data
     SCALARS,
-) = range(12)
+) = range(13)
 
 
 @register_jitable
@@ -34,7 +35,9 @@ def noise_offsets(n: int, m: int) -> tuple[int, ...]:
     - theta (n + m): natural logarithms of the diagonals of Q and R; their anchor; their standard deviations;
     - motion (n): mean square of what the model moves each state in a step; the largest yet;
     - last_y (2, m); curvature (m): sum of squares of second differences; counts (m);
-    - d and P jets saved for the next pass; the same, gradient and information saved where the test begins;
+    - d and P saved where the next pass starts; d and P saved where the tested part begins;
+    - gradient and information of the part that leaves the window, and of the part in front of the tested one;
+    - memory: what left the window, as a linear term and information;
     - of the pass under way: d, P, gradient, information, totals, channels seen (m);
     - the ring.
     """
@@ -49,8 +52,10 @@ def noise_offsets(n: int, m: int) -> tuple[int, ...]:
     counts = curvature + m
     saved = counts + m
     marked = saved + n + n * n
-    marked_sums = marked + n + n * n
-    d = marked_sums + lanes + lanes * lanes
+    leaving = marked + n + n * n
+    untested = leaving + lanes + lanes * lanes
+    memory = untested + lanes + lanes * lanes
+    d = memory + lanes + lanes * lanes
     p = d + n * lanes
     gradient = p + n * n * lanes
     information = gradient + lanes
@@ -58,8 +63,8 @@ def noise_offsets(n: int, m: int) -> tuple[int, ...]:
     seen = totals + 3
     ring = seen + m
     return (
-        theta, anchor, std, motion, largest, last_y, curvature, counts, saved, marked, marked_sums, d, p, gradient,
-        information, totals, seen, ring,
+        theta, anchor, std, motion, largest, last_y, curvature, counts, saved, marked, leaving, untested, memory, d, p,
+        gradient, information, totals, seen, ring,
     )  # fmt: skip
 
 

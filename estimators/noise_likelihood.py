@@ -2,8 +2,9 @@
 
 Each turn takes the same number of window steps, so the work is the same in every cycle. When a pass is complete, Q and
 R make one scoring step (`noise_scoring.py`), and the next pass starts over the window that ends at the newest entry; it
-starts from what the last pass knew at that place. A score test of the window's last quarter notices when the noise has
-changed: then everything older is dropped, and the window grows again from there.
+starts from what the last pass knew at that place. What leaves the window is remembered for a few windows more. A score
+test of the window's last quarter notices when the noise has changed: then everything older is forgotten, and the window
+grows again from there.
 """
 
 from math import exp, isnan
@@ -23,12 +24,13 @@ from servohil.estimators.noise_layout import (
     OLDEST,
     SAVE_AT,
     SAVED,
+    START,
     WRITTEN,
     entry_size,
     noise_offsets,
 )
 from servohil.estimators.noise_scale import at_rest
-from servohil.estimators.noise_scoring import changed, score
+from servohil.estimators.noise_scoring import changed, forget, remember, score
 from servohil.estimators.noise_window import lane_count, window_step
 
 Vector = NDArray[np.float64]
@@ -63,9 +65,8 @@ def take_turn(
         room: (`room_size`,) scratch.
     """
     o = noise_offsets(n, m)
-    theta, saved, marked, sums, o_d, o_p, gradient, information, totals, seen, entries = (
-        o[0], o[8], o[9], o[10], o[11], o[12], o[13], o[14], o[15], o[16], o[17],
-    )  # fmt: skip
+    theta, saved, marked, leaving, untested = o[0], o[8], o[9], o[10], o[11]
+    o_d, o_p, gradient, information, totals, seen, entries = o[13], o[14], o[15], o[16], o[17], o[18], o[19]
     lanes = lane_count(n, m)
     size = entry_size(n, m)
     d = own[o_d:o_p].reshape((n, lanes))
@@ -80,11 +81,13 @@ def take_turn(
         if k == int(own[SAVE_AT]):
             own[SAVED] = k
             save(d, P, n, own[saved : saved + n + n * n])
+            for i in range(lanes + lanes * lanes):
+                own[leaving + i] = own[gradient + i]
         if k == int(own[MARK_AT]):
             own[MARKED] = k
             save(d, P, n, own[marked : marked + n + n * n])
             for i in range(lanes + lanes * lanes):
-                own[sums + i] = own[gradient + i]
+                own[untested + i] = own[gradient + i]
         nu = own[at + n * n + m * n : at + size - n]
         for a in range(m):
             if not isnan(nu[a]):
@@ -101,6 +104,11 @@ def take_turn(
         own[NEXT] = k + 1.0
     if own[NEXT] < own[END]:
         return False
+    if own[SAVED] < 0.0:  # the pass was empty, or as long as a window
+        own[SAVED] = own[END]
+        save(d, P, n, own[saved : saved + n + n * n])
+        for i in range(lanes + lanes * lanes):
+            own[leaving + i] = own[gradient + i]
     better = finish(own, n, m, window, limit, hold, room)
     begin(own, n, m, window, steps)
     return better
@@ -119,12 +127,16 @@ def save(d: NDArray[np.float64], P: NDArray[np.float64], n: int, place: Vector) 
 def finish(own: Vector, n: int, m: int, window: int, limit: float, hold: bool, room: Vector) -> bool:
     """Learn from a complete pass, unless it is no time to learn. True: theta changed."""
     o = noise_offsets(n, m)
-    saved, marked, totals = o[8], o[9], o[15]
+    saved, marked, totals = o[8], o[9], o[17]
     length = own[END] - max(own[OLDEST], own[END] - window)
     if hold or length < SHORTEST or own[totals + 2] < SHORTEST or at_rest(own, n, m):
         own[HELD] += 1.0
         return False
     cut = own[MARKED] >= 0.0 and changed(own, n, m, limit, room)
+    if cut:
+        forget(own, n, m)
+    elif own[SAVED] > own[START]:
+        remember(own, n, m, own[SAVED] - own[START], window)
     better = score(own, n, m, room)
     if not better:
         own[HELD] += 1.0
@@ -141,7 +153,7 @@ def finish(own: Vector, n: int, m: int, window: int, limit: float, hold: bool, r
 def begin(own: Vector, n: int, m: int, window: int, steps: int) -> None:
     """Begin the next pass at the saved place."""
     o = noise_offsets(n, m)
-    saved, o_d, o_p, entries = o[8], o[11], o[12], o[17]
+    saved, o_d, o_p, entries = o[8], o[13], o[14], o[19]
     lanes = lane_count(n, m)
     for i in range(o_d, entries):
         own[i] = 0.0
@@ -151,6 +163,7 @@ def begin(own: Vector, n: int, m: int, window: int, steps: int) -> None:
             own[o_p + (i * n + j) * lanes] = own[saved + n + i * n + j]
     start = int(own[SAVED])
     end = int(own[WRITTEN])
+    own[START] = start
     own[NEXT] = start
     own[END] = end
     cycles = (end - start + steps - 1) // steps
@@ -165,7 +178,7 @@ def begin(own: Vector, n: int, m: int, window: int, steps: int) -> None:
 def restart(own: Vector, n: int, m: int, factor: Matrix) -> None:
     """Forget the window: the next pass starts at the newest entry, from the filter's present estimate."""
     o = noise_offsets(n, m)
-    saved, o_d, entries = o[8], o[11], o[17]
+    saved, o_d, entries = o[8], o[13], o[19]
     for i in range(n):
         own[saved + i] = 0.0
         for j in range(n):
@@ -175,6 +188,7 @@ def restart(own: Vector, n: int, m: int, factor: Matrix) -> None:
             own[saved + n + i * n + j] = total
     for i in range(o_d, entries):
         own[i] = 0.0
+    forget(own, n, m)
     own[OLDEST] = own[WRITTEN]
     own[SAVED] = own[WRITTEN]
     begin(own, n, m, 1, 1)

@@ -1,11 +1,13 @@
 """Where the noise estimates start, and where they stay when the data say nothing: both from the data's own scale.
 
-R: second differences of a channel contain its noise six times over and no steady motion. Q: a model is taken to err, in
-each step, by a thousandth of what it moves the state in that step. In doubt the model is trusted: too small a variance
-costs little where the data do not contradict it, too large a one lets the estimate follow noise.
+R: second differences of a channel contain its noise six times over and no steady motion. Q of a state that is measured:
+a thousandth of the variance of measuring it, which thirty samples average out; from there a window of data can see
+which way to go, while far below it cannot. Q of a hidden state: the model is taken to err, in each step, by a
+thousandth of what it moves the state in that step; in doubt the model is trusted, since too large a variance lets a
+hidden state follow noise.
 """
 
-from math import isnan, log
+from math import exp, isnan, log
 from typing import Final
 
 import numpy as np
@@ -15,15 +17,18 @@ from numpy.typing import NDArray
 from servohil.estimators.noise_layout import BY_DATA_R, noise_offsets
 
 Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
 
+MEASURED_SHARE: Final = 1e-3  # of the variance of measuring a state
 MODEL_ERROR: Final = 1e-3  # of the motion per step
+HIDDEN: Final = 1e3  # times the mean square motion: a state measured no better than that is not measured
 FIRST_SAMPLES: Final = 50  # second differences before R starts from them
 AT_REST: Final = 1e-4  # of the largest mean square motion
 SMALLEST: Final = 1e-60
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def gauge(own: Vector, n: int, m: int, k: int, window: int, moved: Vector, y: Vector) -> bool:
+def gauge(own: Vector, n: int, m: int, k: int, window: int, H: Matrix, moved: Vector, y: Vector) -> bool:
     """Take up one step. True: R has just been set from the data.
 
     Args:
@@ -31,6 +36,7 @@ def gauge(own: Vector, n: int, m: int, k: int, window: int, moved: Vector, y: Ve
         n, m: sizes.
         k: steps so far.
         window: steps over which motion is averaged.
+        H: (m, n) regression of the outputs.
         moved: (n,) predicted minus last estimate.
         y: (m,) measurement, NaN = missing.
     """
@@ -44,7 +50,13 @@ def gauge(own: Vector, n: int, m: int, k: int, window: int, moved: Vector, y: Ve
         if k >= 2 * first:
             for i in range(n):
                 own[largest + i] = max(own[largest + i], own[motion + i])
-                own[anchor + i] = log(max(MODEL_ERROR * MODEL_ERROR * own[largest + i], SMALLEST))
+                information = SMALLEST
+                for a in range(m):
+                    information += H[a, i] * H[a, i] * exp(-own[theta + n + a])
+                level = MEASURED_SHARE / information
+                if level > HIDDEN * own[largest + i]:
+                    level = MODEL_ERROR * MODEL_ERROR * own[largest + i]
+                own[anchor + i] = log(max(level, SMALLEST))
     started = False
     for a in range(m):
         second = y[a] - 2.0 * own[last_y + a] + own[last_y + m + a]

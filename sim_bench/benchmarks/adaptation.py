@@ -50,15 +50,14 @@ def competitors(scenario: NoiseScenario) -> dict[str, Filter]:
     """The filters that do not know, by name."""
     model = filter_model(scenario)
     m = model.m
-    tiny = {"Q": TINY * np.eye(4), "R": TINY * np.eye(m)}
-    wrong = {"Q": 1e-13 * np.eye(4), "R": 1e-13 * np.eye(m)}
-    known = {"Q": np.diag(scenario.q), "R": 10.0 * np.diag(scenario.r[:m])}
+    tiny, wrong = TINY * np.eye(4), 1e-13 * np.eye(4)
+    true_q, off_r = np.diag(scenario.q), 10.0 * np.diag(scenario.r[:m])
     return {
         "likelihood": ASRUKF(model, X0, P0),
-        "likelihood-tiny-start": ASRUKF(model, X0, P0, **tiny),
-        "wrong": SRUKF(model, X0, P0, **wrong),
-        "sage-husa": ASRUKF(model, X0, P0, **wrong, adaptation="sage-husa"),
-        "limited": ASRUKF(model, X0, P0, **known, adaptation="limited", adapt="R"),
+        "likelihood-tiny-start": ASRUKF(model, X0, P0, tiny, tiny[:m, :m]),
+        "wrong": SRUKF(model, X0, P0, wrong, wrong[:m, :m]),
+        "sage-husa": ASRUKF(model, X0, P0, wrong, wrong[:m, :m], adaptation="sage-husa"),
+        "limited": ASRUKF(model, X0, P0, true_q, off_r, adaptation="limited", adapt="R"),
     }
 
 
