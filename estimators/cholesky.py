@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-# A pivot that keeps less than this share of the number it is the rest of is rounding.
-EPS: Final = 2.220446049250313e-16
+# A pivot that keeps less than this share of the number it is the rest of is rounding to a large part: taken for a
+# variance it could be far too small.
+LEAST_REST: Final = 1e-14
 
 
 @njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
@@ -34,7 +35,7 @@ def cholesky(matrix: Matrix, size: int, upper: Matrix) -> bool:
                 rest -= upper[k, i] * upper[k, j]
             if j > i:
                 upper[i, j] = rest / upper[i, i]
-            elif rest > EPS * matrix[i, i] and matrix[i, i] < np.inf:  # False for NaN
+            elif rest > LEAST_REST * matrix[i, i] and matrix[i, i] < np.inf:  # False for NaN
                 upper[i, i] = sqrt(rest)
             else:
                 return False
@@ -71,7 +72,7 @@ def downdate(upper: Matrix, size: int, vector: Vector) -> bool:
     for k in range(size):
         head = upper[k, k]
         rest = (head - vector[k]) * (head + vector[k])
-        if not rest > EPS * head * head:  # True for NaN
+        if not rest > LEAST_REST * head * head:  # True for NaN
             return False
         norm = sqrt(rest)
         cosine = norm / head

@@ -174,8 +174,10 @@ def _mark(arena: Vector, after: Vector, layout: NDArray[np.int64], marks: Vector
         marks[i] = 0.0 if same else 1.0
         noise_or_own = layout[Q] <= i < layout[INNOVATION] or i >= layout[OWN]
         untouched = untouched and (same or noise_or_own)
-    for block in (Q, R):
-        changed = marks[layout[block] : layout[block + 1]].max()
+    for block in range(Q, INNOVATION):
+        changed = 0.0
+        for i in range(layout[block], layout[block + 1]):
+            changed = max(changed, marks[i])
         for i in range(layout[block], layout[block + 1]):
             marks[i] = changed
     return untouched
@@ -186,14 +188,16 @@ def _remember(ring: Vector, layout: NDArray[np.int64], arena: Vector, u: Vector,
     """Fill the next slot before a step."""
     words, n_u, m, depth = layout[WORDS], layout[N_U], layout[M], layout[DEPTH]
     size = 2 * words + n_u + m
-    slots = ring[HEAD + words :].reshape((depth, size))
     index = int(ring[NEXT])
-    slot = slots[index]
+    slot = ring[HEAD + words + index * size : HEAD + words + (index + 1) * size]
     if not _mark(arena, ring[HEAD : HEAD + words], layout, slot[:words]):
         ring[FILLED] = 0.0  # steps before this one lead to another estimate
-    slot[words : 2 * words] = arena
-    slot[2 * words : 2 * words + n_u] = u
-    slot[2 * words + n_u :] = y
+    for i in range(words):
+        slot[words + i] = arena[i]
+    for i in range(n_u):
+        slot[2 * words + i] = u[i]
+    for i in range(m):
+        slot[2 * words + n_u + i] = y[i]
     ring[NEXT] = (index + 1) % depth
     ring[FILLED] = min(ring[FILLED] + 1.0, float(depth))
 
@@ -204,10 +208,10 @@ def _replay(
     """Compute the steps from slot `first` on again; returns the status of that one."""
     words, n_u, m, depth = layout[WORDS], layout[N_U], layout[M], layout[DEPTH]
     size = 2 * words + n_u + m
-    slots = ring[HEAD + words :].reshape((depth, size))
     status = 0
     for i in range(age + 1):
-        slot = slots[(first + i) % depth]
+        start = HEAD + words + (first + i) % depth * size
+        slot = ring[start : start + size]
         for j in range(words):
             if i == 0 or slot[j] != 0.0:
                 arena[j] = slot[words + j]

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from servohil.estimators.adaptive_layout import HOLD
 from servohil.estimators.arena import COUNTERS, N_DIVERGED, arena_offsets
 from servohil.estimators.health import DIVERGED, NOT_FINITE_INPUT, OK, WRONG_SIZE
-from servohil.estimators.linear_update import commit
+from servohil.estimators.linear_update import commit, predict_factor, stack_correction
 from servohil.estimators.linear_work import linear_work_offsets
-from servohil.estimators.linearised_prediction import predict_linearised
-from servohil.estimators.measurement_update import admit, correct
+from servohil.estimators.linearise import output_jacobian, state_jacobian
+from servohil.estimators.measurement_update import admit, correct, within
 from servohil.estimators.sage_husa import sage_husa
 
 Vector = NDArray[np.float64]
@@ -49,7 +49,8 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
         return WRONG_SIZE
     a_x, a_factor, a_q, a_r, a_innovation, a_s, a_nis, _, a_counters, a_own = arena_offsets(n, m)
     (
-        w_gate, w_state, _, w_x, w_factor, w_roots, w_stack, w_stages, _, _, _, _, _, w_e, w_scratch, w_end,
+        w_gate, w_state, w_output, w_x, w_factor, w_roots, w_stack, w_stages, w_steps, w_trial, w_outputs,
+        w_difference, w_y, w_e, w_scratch, w_end,
     ) = linear_work_offsets(n, m, 0)  # fmt: skip
     counters = arena[a_counters : a_counters + COUNTERS]
     present = admit(u, y, counters)
@@ -57,20 +58,46 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
         return NOT_FINITE_INPUT
     q = arena[a_q:a_r].reshape((n, n))
     r = arena[a_r:a_innovation].reshape((m, m))
-    if not predict_linearised(
-        f, h, integrate, subtract_x, subtract_y, n, m, DT, SUBSTEPS, arena[a_x:a_factor],
-        arena[a_factor:a_q].reshape((n, n)), q, r, u, p, y, present, work, arena[a_innovation:a_s],
-        arena[a_s:a_nis].reshape((m, m)),
-    ):  # fmt: skip
-        counters[N_DIVERGED] += 1.0
-        return DIVERGED
+    innovation = arena[a_innovation:a_s]
     x = work[w_x:w_factor]
     factor = work[w_factor:w_roots].reshape((n, n))
     stack = work[w_stack:w_stages].reshape((n + max(n, m), n + m))
+    stages = work[w_stages:w_steps].reshape((5, n))
+    steps = work[w_steps:w_trial]
+    trial = work[w_trial:w_outputs]
+    difference = work[w_difference:w_y]
+    predicted_y = work[w_y:w_e]
     e = work[w_e:w_scratch]
+    scratch = work[w_scratch:w_end]
+
+    last_x = arena[a_x:a_factor]
+    last_factor = arena[a_factor:a_q].reshape((n, n))
+    jacobian = work[w_state:w_output].reshape((n, n))
+    for i in range(n):
+        x[i] = last_x[i]
+    integrate(f, n, DT, SUBSTEPS, x, u, p, stages)
+    state_jacobian(
+        f, integrate, subtract_x, n, DT, SUBSTEPS, last_x, x, last_factor, u, p, jacobian, steps, trial, difference,
+        stages,
+    )  # fmt: skip
+    good = predict_factor(last_factor, jacobian, q, n, n, stack, scratch, factor)
+    if not (good and within(x)):
+        counters[N_DIVERGED] += 1.0
+        return DIVERGED
+    slopes = work[w_output:w_x].reshape((n, m))
+    h(x, u, p, predicted_y)
+    output_jacobian(
+        h, subtract_x, subtract_y, n, m, x, predicted_y, factor, u, p, slopes, steps, trial,
+        work[w_outputs:w_difference], difference,
+    )  # fmt: skip
+    subtract_y(y, predicted_y, innovation)
+    stack_correction(
+        factor, slopes, r, m, n, m, y, innovation, present, work[w_roots:w_stack].reshape((n, m)), stack,
+        arena[a_s:a_nis].reshape((m, m)), e,
+    )  # fmt: skip
     status, nis, loglik = correct(
-        stack, n + m, present, n, m, e, work[w_gate:w_state], counters, x, factor, work[w_scratch:w_end]
-    )
+        stack, n + m, present, n, m, e, work[w_gate:w_state], counters, x, factor, scratch
+    )  # fmt: skip
     if ADAPTIVE and status == OK and arena[a_own + HOLD] == 0.0:
         sage_husa(arena[a_own:], n, m, work[w_end], False, stack, e, factor, q, r, work[w_end + 1 :])
     commit(arena, x, factor, nis, loglik, n, m)

@@ -22,7 +22,9 @@ class Status(IntFlag):
     OK = OK
     MISSING = MISSING  # at least one channel of y was NaN; the others were used
     GATED = GATED  # the innovation failed the chi-square gate: predicted, not corrected
-    REPAIRED = REPAIRED  # the correction was numerically meaningless and left out, or a gate shut too long was opened
+    # the correction was numerically meaningless and left out, or a factorisation failed and another form stood in, or
+    # a gate shut too long was opened, and the covariance grown by the surprise
+    REPAIRED = REPAIRED
     NOT_FINITE_INPUT = NOT_FINITE_INPUT  # u not finite or y infinite: nothing was done
     DIVERGED = DIVERGED  # the prediction was not finite: rolled back to the estimate before
     TOO_OLD = TOO_OLD  # a late measurement from before what the ring of `DelayedFilter` remembers: not used

@@ -17,7 +17,7 @@ INTEGRATORS: Final = ("rk4", "euler", "discrete")
 STAGES: Final = 5  # rows of scratch that every integrator may use
 
 
-@njit(nogil=True, forceinline=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, inline="always", error_model="numpy", _nrt=False)
 def rk4(f: Any, n: int, dt: float, substeps: int, x: Vector, u: Vector, p: Vector, stages: Matrix) -> None:
     """Classical Runge-Kutta with u held over the period.
 
@@ -52,7 +52,7 @@ def rk4(f: Any, n: int, dt: float, substeps: int, x: Vector, u: Vector, p: Vecto
             x[i] += step / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
 
 
-@njit(nogil=True, forceinline=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, inline="always", error_model="numpy", _nrt=False)
 def euler(f: Any, n: int, dt: float, substeps: int, x: Vector, u: Vector, p: Vector, stages: Matrix) -> None:
     """Explicit Euler; arguments as `rk4`."""
     step = dt / substeps
@@ -63,7 +63,7 @@ def euler(f: Any, n: int, dt: float, substeps: int, x: Vector, u: Vector, p: Vec
             x[i] += step * k1[i]
 
 
-@njit(nogil=True, forceinline=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, inline="always", error_model="numpy", _nrt=False)
 def discrete(f: Any, n: int, dt: float, substeps: int, x: Vector, u: Vector, p: Vector, stages: Matrix) -> None:
     """A model whose f fills the next state instead of the derivative, applied `substeps` times; dt is not used."""
     k1 = stages[0]

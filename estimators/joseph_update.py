@@ -18,7 +18,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def correct_by_gain(
     gain: Matrix, change: Vector, roots: Matrix, r: Matrix, stack: Matrix, joseph: Matrix, present: int, n: int, m: int,
     e: Vector, limits: Vector, counters: Vector, before: Vector, x: Vector, factor: Matrix, scratch: Vector,

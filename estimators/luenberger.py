@@ -116,7 +116,7 @@ def _slopes(
     return slopes
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def transform(
     order: Vector, slopes: Matrix, jacobian: Matrix, n: int, m: int, square: Matrix, inverse: Matrix, back: Matrix,
     moved: Matrix, phi: Matrix,
@@ -169,7 +169,7 @@ def transform(
     return True
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def hidden_errors(
     phi: Matrix, n: int, m: int, innovation: Vector, last_error: Vector, seen: Vector, array: Matrix, right: Matrix,
     inverse: Matrix, seen_through: Matrix, before: Vector, now: Vector,
@@ -221,7 +221,7 @@ def hidden_errors(
     return True
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def to_states(
     back: Matrix, gain: Matrix, change: Vector, n: int, m: int, state_gain: Matrix, state_change: Vector
 ) -> None:

@@ -1,5 +1,7 @@
 """Constants and scratch of the filters whose gain works on the outputs: the part of `work` behind `linear_work`."""
 
+from typing import Final
+
 import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import ArrayLike, NDArray
@@ -9,19 +11,25 @@ from servohil.estimators.linear_work import linear_work, linear_work_offsets
 Vector = NDArray[np.float64]
 
 
+# Which gain: both filters run the same compiled step.
+SMOOTH_VARIABLE_STRUCTURE: Final = 0.0
+SECOND_ORDER: Final = 1.0
+
+
 class ManifoldError(ValueError):
     """A parameter of a filter's manifold was refused; the message names it, its value and the rule."""
 
 
 @register_jitable
 def luenberger_work_offsets(n: int, m: int) -> tuple[int, ...]:
-    """Starts of the order of states (n), two parameters per output and hidden state (n, n), T^-1 (n, n), F T^-1
-    (n, n), Phi (n, n), H1 and its inverse (m, m), Phi12 (m, n), its right vectors (n, n), its pseudo-inverse in rows
-    used (n, m) and in all (n, m), hidden errors before and now (n, n), gain (n, m) and change (n) in outputs and
+    """Starts of the kind of gain, order of states (n), two parameters per output and hidden state (n, n), T^-1 (n, n),
+    F T^-1 (n, n), Phi (n, n), H1 and its inverse (m, m), Phi12 (m, n), its right vectors (n, n), its pseudo-inverse in
+    rows used (n, m) and in all (n, m), hidden errors before and now (n, n), gain (n, m) and change (n) in outputs and
     hidden states, gain (n, m) and change (n) in states, stack of the covariance (n + m, n), predicted x (n); then the
     size."""
-    first = linear_work_offsets(n, m, 0)[-1]
-    parameter = first + n
+    kind = linear_work_offsets(n, m, 0)[-1]
+    order = kind + 1
+    parameter = order + n
     second = parameter + n
     back = second + n
     moved = back + n * n
@@ -41,19 +49,21 @@ def luenberger_work_offsets(n: int, m: int) -> tuple[int, ...]:
     joseph = state_change + n
     predicted = joseph + (n + m) * n
     return (
-        first, parameter, second, back, moved, phi, square, inverse, array, right, used, through, before, now, gain,
-        change, state_gain, state_change, joseph, predicted, predicted + n,
+        kind, order, parameter, second, back, moved, phi, square, inverse, array, right, used, through, before, now,
+        gain, change, state_gain, state_change, joseph, predicted, predicted + n,
     )  # fmt: skip
 
 
 def luenberger_work(
-    n: int, m: int, gate_limits: Vector, order: NDArray[np.int64], first: Vector, second: Vector, extra: int = 0
-) -> Vector:
+    n: int, m: int, gate_limits: Vector, kind: float, order: NDArray[np.int64], first: Vector, second: Vector,
+    extra: int,
+) -> Vector:  # fmt: skip
     """A `work` array with its constants filled in, and `extra` elements behind.
 
     Args:
         n, m: numbers of states and outputs.
         gate_limits: (m,) see `gate.gate_limits`.
+        kind: of gain.
         order: (n,) `luenberger.Split.order`.
         first, second: (n,) parameters of the outputs, then of the hidden states.
         extra: more scratch.
@@ -62,9 +72,10 @@ def luenberger_work(
     work = np.zeros(places[-1] + extra)
     constants = linear_work(n, m, gate_limits)
     work[: len(constants)] = constants
-    work[places[0] : places[1]] = order
-    work[places[1] : places[2]] = first
-    work[places[2] : places[3]] = second
+    work[places[0]] = kind
+    work[places[1] : places[2]] = order
+    work[places[2] : places[3]] = first
+    work[places[3] : places[4]] = second
     return work
 
 
@@ -90,7 +101,9 @@ def manifold_parameter(name: str, value: ArrayLike, n: int, least: str, below: f
             raise ManifoldError(f"{name} = {numbers.tolist()}: must be diagonal")
         numbers = np.diag(numbers)
     if numbers.shape not in {(), (n,)}:
-        raise ManifoldError(f"{name} has shape {numbers.shape}: must be a number or ({n},): outputs, then hidden states")
+        raise ManifoldError(
+            f"{name} has shape {numbers.shape}: must be a number or ({n},): outputs, then hidden states"
+        )
     spread = np.full(n, numbers) if numbers.shape == () else numbers.copy()
     inside = (spread > 0.0 if least == ">" else spread >= 0.0) & (spread < below)
     if not inside.all():

@@ -1,4 +1,4 @@
-"""One compiled step of the SVSF and of the dynamic second-order filter: they differ in `fill_gain` alone.
+"""One compiled step of the SVSF and of the dynamic second-order filter: they differ in their gain alone.
 
 Everything is computed in scratch and committed at the end.
 """
@@ -12,8 +12,9 @@ from servohil.estimators.arena import COUNTERS, N_DIVERGED, arena_offsets
 from servohil.estimators.health import DIVERGED, NOT_FINITE_INPUT, WRONG_SIZE
 from servohil.estimators.linear_update import commit
 from servohil.estimators.linear_work import linear_work_offsets
+from servohil.estimators.linearised_prediction import predict_linearised
 from servohil.estimators.luenberger_work import luenberger_work_offsets
-from servohil.estimators.manifold_update import memory_size, predict_and_steer
+from servohil.estimators.manifold_update import memory_size, remember, steer
 from servohil.estimators.measurement_update import admit
 
 Vector = NDArray[np.float64]
@@ -29,7 +30,6 @@ M: int = 0
 N_U: int = 0
 DT: float = 0.0
 SUBSTEPS: int = 0
-fill_gain: Any = None
 
 
 def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
@@ -50,23 +50,27 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     if u.shape[0] != N_U or y.shape[0] != m:
         return WRONG_SIZE
     a_x, a_factor, a_q, a_r, a_innovation, a_s, a_nis, _, a_counters, a_own = arena_offsets(n, m)
-    _, _, _, w_x, w_factor, w_roots, _, _, _, _, _, _, _, _, _, _ = linear_work_offsets(n, m, 0)
-    w_memory = luenberger_work_offsets(n, m)[20]
+    _, _, _, w_x, w_factor, w_roots, _, _, _, _, _, _, w_y, w_e, _, _ = linear_work_offsets(n, m, 0)
+    w_memory = luenberger_work_offsets(n, m)[-1]
     size = memory_size(n, m)
     counters = arena[a_counters : a_counters + COUNTERS]
     present = admit(u, y, counters)
     if present < 0:
         return NOT_FINITE_INPUT
-    good, status, nis, loglik, _ = predict_and_steer(
-        f, h, integrate, subtract_x, subtract_y, fill_gain, n, m, DT, SUBSTEPS, arena[a_x:a_factor],
-        arena[a_factor:a_q].reshape((n, n)), arena[a_q:a_r].reshape((n, n)),
-        arena[a_r:a_innovation].reshape((m, m)), arena[a_own : a_own + size], u, p, y, present, counters, work,
-        arena[a_innovation:a_s], arena[a_s:a_nis].reshape((m, m)), work[w_memory : w_memory + size],
-    )  # fmt: skip
-    if not good:
+    r = arena[a_r:a_innovation].reshape((m, m))
+    innovation = arena[a_innovation:a_s]
+    s = arena[a_s:a_nis].reshape((m, m))
+    memory = arena[a_own : a_own + size]
+    next_memory = work[w_memory : w_memory + size]
+    if not predict_linearised(
+        f, h, integrate, subtract_x, subtract_y, n, m, DT, SUBSTEPS, arena[a_x:a_factor],
+        arena[a_factor:a_q].reshape((n, n)), arena[a_q:a_r].reshape((n, n)), r, u, p, y, present, work, innovation, s,
+    ):  # fmt: skip
         counters[N_DIVERGED] += 1.0
         return DIVERGED
+    status, nis, loglik, used = steer(r, memory, present, counters, work, innovation, s, next_memory)
+    remember(h, subtract_y, m, work[w_x:w_factor], u, p, y, used, work[w_y:w_e], next_memory)
     for i in range(size):
-        arena[a_own + i] = work[w_memory + i]
+        memory[i] = next_memory[i]
     commit(arena, work[w_x:w_factor], work[w_factor:w_roots].reshape((n, n)), nis, loglik, n, m)
     return status

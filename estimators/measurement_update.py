@@ -8,7 +8,7 @@ The correction (Arasaratnam & Haykin; P1 algorithm 1 without its downdates) take
 so P stays positive definite whatever the numbers are. Nothing is committed unless it is finite and meaningful.
 """
 
-from math import isfinite, isinf, isnan, log, pi
+from math import isfinite, isinf, isnan, log, pi, sqrt
 from typing import Final
 
 import numpy as np
@@ -26,19 +26,22 @@ from servohil.estimators.arena import (
 )
 from servohil.estimators.health import GATE_PATIENCE, GATED, MISSING, OK, REPAIRED
 from servohil.estimators.triangularise import solve_transposed, triangularise
+from servohil.estimators.views import vector_at
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 # Above this an entry of the factor would overflow when squared.
 LARGEST: Final = 1e150
-# Innovations beyond 1e15 standard deviations: x + K e would keep no digit of x.
+# Innovations beyond 1e15 standard deviations: x + K e would keep no digit of x. Left out, unless they last: then it is
+# the estimate that keeps no digit, and anything a measurement can mean is better.
 LARGEST_NIS: Final = 1e30
+LARGEST_LASTING_NIS: Final = 1e60
 # Below this a standard deviation of an innovation is no number to divide by.
 SMALLEST_STD: Final = 1e-150
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, forceinline=True, error_model="numpy", _nrt=False)
 def within(vector: Vector) -> bool:
     """All entries finite and small enough to be squared."""
     good = True
@@ -47,7 +50,7 @@ def within(vector: Vector) -> bool:
     return good
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, forceinline=True, error_model="numpy", _nrt=False)
 def admit(u: Vector, y: Vector, counters: Vector) -> int:
     """Count a step. Number of channels present in y (NaN = missing); -1: u not finite or y infinite, leave all be."""
     counters[N_STEPS] += 1.0
@@ -66,7 +69,7 @@ def admit(u: Vector, y: Vector, counters: Vector) -> int:
     return present
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, forceinline=True, error_model="numpy", _nrt=False)
 def correct(
     stack: Matrix, rows: int, present: int, n: int, m: int, e: Vector, limits: Vector, counters: Vector,
     x: Vector, factor: Matrix, scratch: Vector,
@@ -92,7 +95,7 @@ def correct(
     return commit(stack, present, n, m, e, limits, counters, x, factor, scratch)
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, forceinline=True, error_model="numpy", _nrt=False)
 def commit(
     stack: Matrix, present: int, n: int, m: int, e: Vector, limits: Vector, counters: Vector,
     x: Vector, factor: Matrix, scratch: Vector,
@@ -121,29 +124,38 @@ def commit(
             scratch[j] = x[j]
             for c in range(present):
                 scratch[j] += stack[c, present + j] * e[c]
-        solvable = solvable and nis < LARGEST_NIS and within(scratch[:n])
+        solvable = solvable and nis < LARGEST_LASTING_NIS and within(vector_at(scratch, 0, n))
+        largest = 0.0
         for i in range(n):
             solvable = solvable and within(stack[present + i, present + i : present + n])
-        if not solvable:
+            for j in range(i, n):
+                largest = max(largest, abs(stack[present + i, present + j]))
+        absurd = solvable and not nis < LARGEST_NIS
+        shut = solvable and (absurd or nis > limits[present - 1])
+        counters[GATED_IN_A_ROW] = (
+            counters[GATED_IN_A_ROW] + 1.0 if shut else (counters[GATED_IN_A_ROW] if not solvable else 0.0)
+        )
+        opened = shut and counters[GATED_IN_A_ROW] > GATE_PATIENCE
+        if not solvable or (absurd and not opened):
             status |= REPAIRED
             counters[N_REPAIRED] += 1.0
             nis = 0.0
             loglik = 0.0
-        shut = solvable and nis > limits[present - 1]
-        counters[GATED_IN_A_ROW] = (
-            counters[GATED_IN_A_ROW] + 1.0 if shut else (counters[GATED_IN_A_ROW] if not solvable else 0.0)
-        )
-        if shut and counters[GATED_IN_A_ROW] <= GATE_PATIENCE:
+        elif shut and not opened:
             status |= GATED
             counters[N_GATED] += 1.0
-        elif solvable:
-            if shut:  # refused for so long that the estimate must be wrong, not the sensors
+        else:
+            grown = 1.0
+            if opened:  # refused for so long that the estimate must be wrong, not the sensors; and so must be its P
                 status |= REPAIRED
                 counters[N_REPAIRED] += 1.0
+                grown = sqrt(nis / present)
+                if grown * largest >= LARGEST:
+                    grown = 1.0
             for i in range(n):
                 x[i] = scratch[i]
                 for j in range(n):
-                    factor[i, j] = stack[present + i, present + j] if j >= i else 0.0
+                    factor[i, j] = grown * stack[present + i, present + j] if j >= i else 0.0
             if present == m and not shut:
                 counters[SINCE_FULL] = 0.0
     return status, nis, loglik

@@ -7,12 +7,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from servohil.estimators.parameter_update import forget, gauss_newton, remember_error, watch_excitation
+from servohil.estimators.excitation import watch_excitation
+from servohil.estimators.parameter_update import forget, gauss_newton, remember_error
 from servohil.estimators.sensitivity_layout import (
     FORGETTING,
     K_MODEL,
     K_Q,
+    LEAST,
     LIKELIHOOD,
+    MEMORY,
     WINDOW,
     K,
     own_offsets,
@@ -25,7 +28,7 @@ Matrix = NDArray[np.float64]
 SQRT2: Final = sqrt(2.0)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def second_moments(whitened: Vector, present: int, residuals: Vector) -> None:
     """Fill residuals with z, then with z z' - I by rows of its upper half, every entry of unit variance."""
     row = present
@@ -37,7 +40,7 @@ def second_moments(whitened: Vector, present: int, residuals: Vector) -> None:
             row += 1
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def whiten_error(error: Matrix, m: int, y: Vector, upper: Matrix, present: int, noise: Matrix) -> None:
     """Fill noise (m, present) with the channels present of P4's Delta factor, in units of the filter's own: D S_y'^-1.
 
@@ -60,7 +63,7 @@ def whiten_error(error: Matrix, m: int, y: Vector, upper: Matrix, present: int, 
                 column += 1
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def scale_variance(noise: Matrix, size: int, entry: int, change: float, lower: float, upper: float) -> None:
     """Add `change` to the logarithm of one variance, within bounds; its correlations stay. noise (size, size) is the
     transposed lower factor."""
@@ -74,7 +77,7 @@ def scale_variance(noise: Matrix, size: int, entry: int, change: float, lower: f
             noise[i, entry] *= scale
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def adapt(
     arena: Vector, start: int, settings: Vector, n: int, m: int, jacobian: Matrix, rows: int, present: int, y: Vector,
     innovation: Vector, whitened: Vector, s: Matrix, upper: Matrix, q: Matrix, r: Matrix, scratch: Vector,
@@ -103,13 +106,13 @@ def adapt(
     forgetting = settings[FORGETTING]
     likelihood = settings[LIKELIHOOD] != 0.0
     _, s_place, s_rate, s_lower, s_upper, s_threshold, s_largest, s_end = setting_offsets(k, 0)
-    o_theta, _, _, _, _, _, _, o_covariance, o_error, o_excitation, o_clock, o_held, o_adapting, _ = own_offsets(
-        n, m, k, k_model, start
+    o_theta, _, _, o_dy, o_dloglik, _, _, o_covariance, o_error, o_excitation, o_clock, o_held, o_adapting, _ = (
+        own_offsets(n, m, k, k_model, start)
     )
     held = arena[o_held:o_adapting]
     watch_excitation(
-        jacobian, rows, k, settings[WINDOW], settings[s_threshold:s_largest],
-        arena[o_excitation:o_clock].reshape((2, k)), arena[o_clock:o_held], held,
+        arena[o_dy:o_dloglik].reshape((k, m)), jacobian, rows, y, r, s, m, k, k_model, settings[WINDOW], settings[MEMORY],
+        settings[s_threshold:s_largest], settings[LEAST], arena[o_excitation:o_clock].reshape((3, k)), arena[o_clock:o_held], held,
     )  # fmt: skip
     if rows == 0 or arena[o_adapting] == 0.0:
         return

@@ -27,38 +27,7 @@ Matrix = NDArray[np.float64]
 LARGEST_RESIDUAL: Final = 5.0
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def watch_excitation(
-    jacobian: Matrix, rows: int, k: int, window: float, threshold: Vector, sums: Matrix, clock: Vector, held: Vector
-) -> None:
-    """Add a step to the windows and fill held: 1 where the norm of the sensitivity over them is below the threshold.
-
-    The norm runs over the window before and the part of this one that has passed: one to two windows, no sum from
-    which anything is ever subtracted.
-
-    Args:
-        jacobian: (>= rows, k) whitened sensitivities of this step's prediction.
-        rows: in use, 0 without a measurement.
-        k: number of parameters.
-        window: its length in steps.
-        threshold: (k,) least norm.
-        sums: (2, k) squared norms of the window before and of this one, updated.
-        clock: (1,) steps in this window, updated.
-        held: (k,) filled.
-    """
-    for j in range(k):
-        for i in range(rows):
-            sums[1, j] += jacobian[i, j] * jacobian[i, j]
-        held[j] = 1.0 if sqrt(sums[0, j] + sums[1, j]) < threshold[j] else 0.0
-    clock[0] += 1.0
-    if clock[0] >= window:
-        clock[0] = 0.0
-        for j in range(k):
-            sums[0, j] = sums[1, j]
-            sums[1, j] = 0.0
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def forget(covariance: Matrix, k: int, forgetting: float, largest: Vector, held: Vector) -> None:
     """Divide the covariance of the active parameters by the forgetting factor, up to their largest variance.
 
@@ -81,7 +50,7 @@ def forget(covariance: Matrix, k: int, forgetting: float, largest: Vector, held:
                 covariance[i, j] *= scale
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def gauss_newton(
     jacobian: Matrix, residuals: Vector, rows: int, noise: Matrix, noise_rows: int, k: int, covariance: Matrix,
     held: Vector, seen: Matrix, stack: Matrix, gain: Matrix, scratch: Vector, change: Vector,
@@ -164,7 +133,7 @@ def gauss_newton(
     return good
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def remember_error(
     error: Matrix, m: int, y_missing: Vector, innovation: Vector, forgetting: float, s: Matrix, stack: Matrix,
     reflections: Vector,

@@ -17,7 +17,7 @@ ORTHOGONAL: Final = 1e-15
 MAX_SWEEPS: Final = 30
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def pseudo_inverse(array: Matrix, rows: int, columns: int, right: Matrix, out: Matrix) -> None:
     """Moore-Penrose inverse, by the singular values of one-sided Jacobi rotations (Hestenes).
 
@@ -44,7 +44,7 @@ def pseudo_inverse(array: Matrix, rows: int, columns: int, right: Matrix, out: M
                 if abs(pq) > ORTHOGONAL * np.sqrt(pp) * np.sqrt(qq):
                     turned = True
                     zeta = 0.5 * (qq - pp) / pq
-                    tangent = 1.0 / (abs(zeta) + np.sqrt(1.0 + zeta * zeta))
+                    tangent = 1.0 / (abs(zeta) + np.hypot(1.0, zeta))
                     if zeta < 0.0:
                         tangent = -tangent
                     cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
@@ -67,7 +67,7 @@ def pseudo_inverse(array: Matrix, rows: int, columns: int, right: Matrix, out: M
                     out[j, i] += right[j, c] * array[i, c] / square
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def _rotate(array: Matrix, rows: int, p: int, q: int, cosine: float, sine: float) -> None:
     for i in range(rows):
         kept = array[i, p]
@@ -75,7 +75,7 @@ def _rotate(array: Matrix, rows: int, p: int, q: int, cosine: float, sine: float
         array[i, q] = sine * kept + cosine * array[i, q]
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def _square(array: Matrix, rows: int, column: int) -> float:
     total = 0.0
     for i in range(rows):
@@ -83,7 +83,7 @@ def _square(array: Matrix, rows: int, column: int) -> float:
     return total
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def invert(array: Matrix, size: int, out: Matrix) -> bool:
     """Gauss-Jordan inverse with scaled rows and pivots. False: singular, or not finite.
 

@@ -27,11 +27,15 @@ class RobustKF(Filter):
 
         epsilon^-1 I > E X E'
 
-    with X a bound of the second moment E[x x'] of the state, X+ = A (X^-1 - epsilon E'E)^-1 A' + epsilon^-1 H1 H1' + Q.
-    In the loop X is taken as x x' + P from the estimate itself, so a motion driven by u counts; where the condition
-    fails a smaller epsilon is used for that step and the step reports REPAIRED. So choose epsilon below 1 / |E x|^2 of
-    the motion to be covered. Small values add much noise (H1 H1' / epsilon), values near the limit much spread: the
-    bound has a minimum in between. Without uncertainty (E = 0, or H1 = H2 = 0) this is the Kalman filter.
+    with X a bound of the second moment E[x x'] of the state, X+ = A (X^-1 - epsilon E'E)^-1 A' + epsilon^-1 H1 H1' + Q,
+    and u = 0. Small values of epsilon add much noise (H1 H1' / epsilon), values near the limit much spread: the bound
+    has a minimum in between. With H1 and H2 both the inequality is used twice per step, for a different F each time.
+    Without uncertainty (E = 0, or H1 = H2 = 0) this is the Kalman filter.
+
+    A motion driven by a known u is no part of the theory, but the uncertainty acts on it all the same. So in the loop X
+    is taken as x x' + P from the estimate itself; where the condition fails a smaller epsilon is used for that step,
+    and the step reports REPAIRED. For the bound to hold choose epsilon well below that: 0.25 / |E x|^2 of the motion to
+    be covered was enough on the actuator of P2 with stiffness and damping off by 30 %.
 
     `S` and `nis` belong to the bound: a consistent innovation is smaller than they say.
 

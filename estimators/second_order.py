@@ -6,11 +6,10 @@ from numpy.typing import ArrayLike, NDArray
 from servohil.estimators.arena import arena_offsets
 from servohil.estimators.filter import Filter
 from servohil.estimators.luenberger import check_hidden_decay, split_states
-from servohil.estimators.luenberger_work import luenberger_work, manifold_parameter
+from servohil.estimators.luenberger_work import SECOND_ORDER, luenberger_work, manifold_parameter
 from servohil.estimators.manifold_step import step
 from servohil.estimators.manifold_update import memory_size
 from servohil.estimators.model import Model
-from servohil.estimators.second_order_gain import second_order_gain
 
 Vector = NDArray[np.float64]
 
@@ -44,8 +43,8 @@ class SecondOrderFilter(Filter):
         Q: ArrayLike | None = None,
         R: ArrayLike | None = None,
         *,
-        convergence: ArrayLike,
-        cutoff: ArrayLike,
+        convergence: ArrayLike = 0.1,
+        cutoff: ArrayLike = 0.2,
         chol_Q: ArrayLike | None = None,
         chol_R: ArrayLike | None = None,
         gate: float | None = None,
@@ -58,8 +57,8 @@ class SecondOrderFilter(Filter):
         self._cutoff = manifold_parameter("cutoff", cutoff, n, ">", 1.0)
         split = split_states(model, self._x0, np.linalg.norm(self._factor0, axis=1))
         check_hidden_decay(split.phi, m, gamma[m:] + self._cutoff[m:], gamma[m:] * self._cutoff[m:])
-        work = luenberger_work(n, m, self._gate_limits, split.order, gamma, self._cutoff, size)
-        self._build(step, work, fill_gain=second_order_gain)
+        work = luenberger_work(n, m, self._gate_limits, SECOND_ORDER, split.order, gamma, self._cutoff, size)
+        self._build(step, work)
 
     @staticmethod
     def arena_size(n: int, m: int) -> int:

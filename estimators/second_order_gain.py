@@ -20,7 +20,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def second_order_gain(
     convergence: Vector, cutoff: Vector, phi: Matrix, n: int, m: int, innovation: Vector, s: Matrix, memory: Vector,
     visible: bool, through: Matrix, before: Vector, now: Vector, gain: Matrix, change: Vector,

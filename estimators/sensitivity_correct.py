@@ -17,7 +17,7 @@ Tensor = NDArray[np.float64]
 SQRT2: Final = sqrt(2.0)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def correct_tangents(
     array: Matrix, present: int, n: int, m: int, k: int, y: Vector, whitened: Vector, dy: Matrix, dx: Matrix,
     dfactor: Tensor, dloglik: Vector, jacobian: Matrix, first_second: int, scratch: Matrix,
@@ -79,7 +79,7 @@ def correct_tangents(
     return present + present * (present + 1) // 2 if first_second < k else present
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def differentiate_gain(
     array: Matrix, present: int, n: int, m: int, k: int, y: Vector, gain: Matrix, dgain: Tensor, scratch: Matrix
 ) -> None:

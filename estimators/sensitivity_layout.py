@@ -10,15 +10,16 @@ from typing import Final
 from numba.extending import register_jitable
 
 # Settings, at the start of the filter's part of `work`.
-SETTINGS: Final = 7
-K, K_MODEL, K_Q, FORGETTING, LIKELIHOOD, WINDOW, N_PARAMETERS = range(SETTINGS)
+SETTINGS: Final = 11
+K, K_MODEL, K_Q, N_PARAMETERS, N_STATES, N_OUTPUTS, FORGETTING, LIKELIHOOD, WINDOW, MEMORY, LEAST = range(SETTINGS)
 
 
 @register_jitable
 def own_offsets(n: int, m: int, k: int, k_model: int, start: int) -> tuple[int, ...]:
     """Starts, from `start` on, of model parameters (k_model), dx (k, n), transposed lower factor's derivative
     (k, n, n), dy (k, m), d loglik (k), gain (n, m), d gain (k, n, m), transposed lower factor of the parameters'
-    covariance (k, k), the same of the prediction error's (m, m), excitation of the window before and of this (2, k),
+    covariance (k, k), the same of the prediction error's (m, m), squared excitation of the window before, of this, and the
+    largest (3, k),
     steps in this window, held (k), adapting; then the end."""
     dx = start + k_model
     dfactor = dx + k * n
@@ -29,7 +30,7 @@ def own_offsets(n: int, m: int, k: int, k_model: int, start: int) -> tuple[int, 
     covariance = dgain + k * n * m
     error = covariance + k * k
     excitation = error + m * m
-    clock = excitation + 2 * k
+    clock = excitation + 3 * k
     held = clock + 1
     adapting = held + k
     end = adapting + 1

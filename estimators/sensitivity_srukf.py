@@ -51,10 +51,12 @@ class SensitivitySRUKF(Filter):
         criterion: "likelihood" weighs the innovation e with its covariance S, and a variance also hears how e e'
             compares with S: it finds the size of Q and R. "prediction-error" is P4's: weighed with the running mean of
             e e'; only the ratio of Q to R can be told from it, so give part of the entries.
-        threshold: least norm of the sensitivity over the window, one number or (k,): standard deviations of the
-            innovation that a change of the parameter by its scale makes. 20 means that the window tells the parameter
-            to within 5 % of its scale. 0: never hold.
+        threshold: P4's, one number or (k,) between 0 and 1: a parameter is held while its excitation is below this part
+            of the largest so far. Excitation is the norm of the sensitivity over one to two windows: how many standard
+            deviations of the sensors a change by its scale makes (5: the window tells it to within 20 %).
+        least_excitation: below this a parameter is held whatever the largest was.
         window: steps.
+        memory: steps in which the largest excitation fades to 1 / e.
         scale: (k_model,) in which parameters are counted; None: their start's magnitude, 1 where that is 0.
         lower, upper: (k,) bounds in the units of `parameters`, None: none for model parameters and a factor of 1e8 from
             the start for variances.
@@ -82,8 +84,10 @@ class SensitivitySRUKF(Filter):
         R_entries: Sequence[int] = (),
         forgetting: float = 0.999,
         criterion: str = "likelihood",
-        threshold: ArrayLike = 20.0,
-        window: int = 1000,
+        threshold: ArrayLike = 0.3,
+        least_excitation: float = 5.0,
+        window: int = 200,
+        memory: float = 1e5,
         scale: ArrayLike | None = None,
         lower: ArrayLike | None = None,
         upper: ArrayLike | None = None,
@@ -124,6 +128,9 @@ class SensitivitySRUKF(Filter):
             raise FilterError(f"criterion = {criterion!r}: must be one of {', '.join(CRITERIA)}")
         if not 0.0 < forgetting <= 1.0:
             raise FilterError(f"forgetting = {forgetting!r}: must be > 0 and <= 1")
+        for name, number, least in (("least_excitation", least_excitation, 0.0), ("memory", memory, 2.0)):
+            if not isfinite(number) or number < least:
+                raise FilterError(f"{name} = {number!r}: must be finite and >= {least}")
         if isinstance(window, bool) or not isinstance(window, int | np.integer) or window < 1:
             raise FilterError(f"window = {window!r}: must be a whole number of steps >= 1")
         reach = np.concatenate([np.full(k_model, inf), np.full(k - k_model, LARGEST_LOG_CHANGE)])
@@ -133,7 +140,7 @@ class SensitivitySRUKF(Filter):
             raise FilterError(f"lower = {low}, upper = {high}: must be finite for the logarithm of a variance")
         work = sigma_point_work(n, m, _weights(transform, n, alpha, beta, kappa), self._gate_limits)
         settings = np.concatenate([
-            [k, k_model, k_q, forgetting, float(criterion == "likelihood"), window, n_p],
+            [k, k_model, k_q, n_p, n, m, forgetting, float(criterion == "likelihood"), window, memory, least_excitation],
             self._index, self._q_entries, self._r_entries, self._rates, low, high,
             positive("threshold", threshold, k), np.sum(np.square(self._covariance0), axis=1),
         ])  # fmt: skip
@@ -203,8 +210,8 @@ class SensitivitySRUKF(Filter):
 
     @property
     def excitation(self) -> Vector:
-        """(k,) norm of the sensitivity over the last one to two windows, to be compared with `threshold`."""
-        return np.sqrt(self._excitation.reshape(2, -1).sum(axis=0))
+        """(k,) norm of the sensitivity over the last one to two windows."""
+        return np.sqrt(self._excitation.reshape(3, -1)[:2].sum(axis=0))
 
     @property
     def sensitivity_x(self) -> Matrix:

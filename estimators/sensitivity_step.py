@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 from servohil.estimators.arena import COUNTERS, N_DIVERGED, arena_offsets
 from servohil.estimators.health import DIVERGED, NOT_FINITE_INPUT, WRONG_SIZE
 from servohil.estimators.measurement_update import admit
-from servohil.estimators.sensitivity_layout import K_MODEL, N_PARAMETERS, K, scratch_offsets, setting_offsets
+from servohil.estimators.sensitivity_layout import (
+    K_MODEL,
+    N_OUTPUTS,
+    N_PARAMETERS,
+    N_STATES,
+    K,
+    scratch_offsets,
+    setting_offsets,
+)
 from servohil.estimators.sensitivity_update import begin, finish, measurement_tangents, predict_tangents
 from servohil.estimators.sigma_point_update import predict, predict_measurement
 from servohil.estimators.sigma_point_work import OUTER, ROOT_CENTRE, SPREAD, work_offsets
@@ -60,6 +68,8 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     t_p, t_scales, t_residuals, t_points, t_outputs, t_differences, _, _, _, _, _, _, _ = scratch_offsets(
         n, m, k, int(work[w_own + N_PARAMETERS]), s_end
     )
+    states = int(work[w_own + N_STATES])  # n and m again, but no constants: what takes these is compiled once for all
+    channels = int(work[w_own + N_OUTPUTS])
     points_n = 2 * n + 1
     spread = work[SPREAD]
     root_centre = work[ROOT_CENTRE]
@@ -79,7 +89,7 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     doutputs = work[t_outputs:t_differences].reshape((points_n, k, m))
     rows = work[t_differences : t_differences + (2 * k + 6) * n].reshape((2 * k + 6, n))
 
-    begin(arena, work, p, n, m)
+    begin(arena, work, p, states, channels)
     for i in range(points_n):
         integrate_tangents(
             f, n, k, k_model, DT, SUBSTEPS, points[i], dpoints[i], u, params, place, rates, scales, stages, rows
@@ -91,7 +101,7 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     for i in range(points_n):
         start = t_residuals + i * n
         subtract_x(points[i], x, work[start : start + n])
-    predict_tangents(arena, work, n, m)
+    predict_tangents(arena, work, states, channels)
     predict_measurement(
         h, subtract_x, subtract_y, n, m, x, factor, arena[a_r:a_innovation].reshape((m, m)), spread, root_centre,
         outer, u, params, y, present, points, outputs, stack, work[w_y:w_e], arena[a_s:a_nis].reshape((m, m)),
@@ -105,5 +115,5 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
             derivative_along(
                 h, m, n, points[i], u, params, dpoints[i, j], index, rates[j], scales, moved, values, doutputs[i, j]
             )
-    measurement_tangents(arena, work, y, present, n, m)
-    return finish(arena, work, y, present, n, m)
+    measurement_tangents(arena, work, y, present, states, channels)
+    return finish(arena, work, y, present, states, channels)

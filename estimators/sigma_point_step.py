@@ -3,9 +3,8 @@ Q and R move. Prediction and correction of the covariance are functions compiled
 `ukf_step.py` covariance form, `srukf_vdm_step.py` rank-one updates, `srukf_forms.py` array form. With ADAPTIVE,
 `noise_adaptation.py` moves Q and R at the end.
 
-Where a form that subtracts finds no positive definite result, the array form takes over with the centre's weight left
-out if it is negative: the covariance comes out larger, never smaller, and the status says REPAIRED. Everything is
-computed in scratch and committed at the end.
+Where a form that subtracts finds no positive definite result, the array form of the same covariance takes over, and the
+status says REPAIRED. Everything is computed in scratch and committed at the end.
 """
 
 from typing import Any, Final
@@ -23,6 +22,7 @@ from servohil.estimators.noise_adaptation import SETTINGS, adapt_noise
 from servohil.estimators.sigma_point_update import predict_measurement, propagate
 from servohil.estimators.sigma_point_work import OUTER, ROOT_CENTRE, SPREAD, sigma_point_work, work_offsets
 from servohil.estimators.sigma_points import Weights, mean
+from servohil.estimators.srukf_forms import rest_weight
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -137,10 +137,12 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     )  # fmt: skip
     if root_centre < 0.0:  # it went into S as its square
         _add_centre(s, m, -2.0 * root_centre * root_centre, outputs[0])
-    if present > 0 and reduce_form(stack, points_n + m, present, n, root_centre, factor, spare, scratch) != OK:
-        repaired = REPAIRED
-        if root_centre < 0.0:
-            _add_centre(s, m, root_centre * root_centre, outputs[0])
+    if present > 0:
+        reduced = reduce_form(stack, points_n + m, present, n, root_centre, outer, factor, spare, scratch)
+        if reduced != OK:
+            repaired = REPAIRED
+            if root_centre < 0.0:
+                _add_centre(s, m, max(-rest_weight(n, root_centre, outer), 0.0), outputs[0])
     status, nis, loglik = commit(stack, present, n, m, e, work[w_gate : w_gate + m], counters, x, factor, scratch)
     if repaired != OK and status & REPAIRED == 0:
         counters[N_REPAIRED] += 1.0

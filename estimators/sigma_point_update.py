@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from servohil.estimators.measurement_update import within
 from servohil.estimators.sigma_points import draw, mean
-from servohil.estimators.triangularise import triangularise
+from servohil.estimators.triangularise import triangularise_onto
+from servohil.estimators.views import vector_at
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 
-@njit(nogil=True, forceinline=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, inline="always", error_model="numpy", _nrt=False)
 def propagate(
     f: Any, integrate: Any, n: int, dt: float, substeps: int, last_x: Vector, last_factor: Matrix, spread: float,
     u: Vector, p: Vector, points: Matrix, stages: Matrix,
@@ -26,7 +27,7 @@ def propagate(
         integrate(f, n, dt, substeps, points[i], u, p, stages)
 
 
-@njit(nogil=True, forceinline=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, inline="always", error_model="numpy", _nrt=False)
 def predict(
     subtract: Any, n: int, points: Matrix, q: Matrix, root_centre: float, outer: float, stack: Matrix,
     scratch: Vector, x: Vector, factor: Matrix,
@@ -43,27 +44,37 @@ def predict(
         x, factor: filled.
     """
     points_n = 2 * n + 1
-    root_outer = sqrt(outer)
-    mean(subtract, points, points_n, n, outer, stack[0], x)
+    mean(subtract, points, points_n, n, outer, scratch, x)
+    deviation = vector_at(scratch, 0, n)
     for i in range(points_n):
-        root = root_centre if i == 0 else root_outer
-        subtract(points[i], x, stack[i, :n])
+        subtract(points[i], x, deviation)
         for j in range(n):
-            stack[i, j] *= root
-    for i in range(n):
+            stack[i, j] = deviation[j]
+    return _predicted_factor(n, q, root_centre, outer, stack, x, factor)
+
+
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
+def _predicted_factor(
+    n: int, q: Matrix, root_centre: float, outer: float, stack: Matrix, x: Vector, factor: Matrix
+) -> bool:
+    """Fill factor from the deviations in the stack; False: it or x is not finite. Compiled once for all models."""
+    points_n = 2 * n + 1
+    root_outer = sqrt(outer)
+    for j in range(n):
+        stack[0, j] *= root_centre
+    for i in range(1, points_n):
         for j in range(n):
-            stack[points_n + i, j] = q[i, j]
-    triangularise(stack, points_n + n, n, scratch)
+            stack[i, j] *= root_outer
+    triangularise_onto(stack, points_n, n, q)
+    good = within(x)
     for i in range(n):
         for j in range(n):
             factor[i, j] = stack[i, j] if j >= i else 0.0
-    good = within(x)
-    for i in range(n):
         good = good and within(factor[i])
     return good
 
 
-@njit(nogil=True, forceinline=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, inline="always", error_model="numpy", _nrt=False)
 def predict_measurement(
     h: Any, subtract_x: Any, subtract_y: Any, n: int, m: int, x: Vector, factor: Matrix, r: Matrix, spread: float,
     root_centre: float, outer: float, u: Vector, p: Vector, y: Vector, present: int, points: Matrix, outputs: Matrix,
@@ -84,17 +95,32 @@ def predict_measurement(
         e: (m,) filled with the innovation of the present channels.
     """
     points_n = 2 * n + 1
-    root_outer = sqrt(outer)
     draw(x, factor, spread, n, points)
     for i in range(points_n):
         h(points[i], u, p, outputs[i])
-    mean(subtract_y, outputs, points_n, m, outer, stack[0], mean_y)
+    mean(subtract_y, outputs, points_n, m, outer, scratch, mean_y)
     subtract_y(y, mean_y, innovation)
+    deviation = vector_at(scratch, 0, m)
     for i in range(points_n):
-        subtract_y(outputs[i], mean_y, scratch[:m])
+        subtract_y(outputs[i], mean_y, deviation)
         for c in range(m):
-            outputs[i, c] = scratch[c]
-    columns = 0
+            outputs[i, c] = deviation[c]
+    deviation = vector_at(scratch, 0, n)
+    for i in range(points_n):
+        subtract_x(points[i], x, deviation)
+        for j in range(n):
+            stack[i, present + j] = deviation[j]
+    _measurement_stack(n, m, r, root_centre, outer, y, present, outputs, stack, s, innovation, e)
+
+
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
+def _measurement_stack(
+    n: int, m: int, r: Matrix, root_centre: float, outer: float, y: Vector, present: int, outputs: Matrix,
+    stack: Matrix, s: Matrix, innovation: Vector, e: Vector,
+) -> None:  # fmt: skip
+    """The part of `predict_measurement` after the deviations: compiled once for all models."""
+    points_n = 2 * n + 1
+    root_outer = sqrt(outer)
     for c in range(m):
         for d in range(c + 1):
             total = 0.0
@@ -106,20 +132,22 @@ def predict_measurement(
                 total += r[i, c] * r[i, d]
             s[c, d] = total
             s[d, c] = total
+    columns = 0
+    for c in range(m):
         if isnan(y[c]):
             innovation[c] = y[c]
         else:
             e[columns] = innovation[c]
             for i in range(points_n):
-                stack[i, columns] = (root_centre if i == 0 else root_outer) * outputs[i, c]
+                stack[i, columns] = outputs[i, c]
             for i in range(m):
                 stack[points_n + i, columns] = r[i, c]
             columns += 1
-    for i in range(points_n):
-        root = root_centre if i == 0 else root_outer
-        subtract_x(points[i], x, stack[i, present : present + n])
-        for j in range(n):
-            stack[i, present + j] *= root
+    for j in range(present + n):
+        stack[0, j] *= root_centre
+    for i in range(1, points_n):
+        for j in range(present + n):
+            stack[i, j] *= root_outer
     for i in range(m):
         for j in range(n):
             stack[points_n + i, present + j] = 0.0

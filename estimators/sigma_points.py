@@ -8,6 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from servohil.estimators.views import vector_at
+
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
@@ -66,7 +68,7 @@ def _allowed_alpha(n: int, beta: float, kappa: float) -> str:
     return f"with this beta and kappa alpha must lie between {low:.4g} and {high:.4g}"
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, forceinline=True, error_model="numpy", _nrt=False)
 def draw(x: Vector, upper: Matrix, spread: float, n: int, points: Matrix) -> None:
     """Fill points (2n + 1, n): x, then x + spread * column i of the lower factor, then x - the same.
 
@@ -86,15 +88,16 @@ def draw(x: Vector, upper: Matrix, spread: float, n: int, points: Matrix) -> Non
             points[1 + n + i, j] = x[j] - offset
 
 
-@njit(nogil=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, inline="always", error_model="numpy", _nrt=False)
 def mean(subtract: Any, points: Matrix, count: int, columns: int, outer: float, scratch: Vector, out: Vector) -> None:
     """Fill out (columns,) with the weighted mean, summed about the central point: exact for equal points, and right
     for angles, whose differences `subtract` wraps."""
+    difference = vector_at(scratch, 0, columns)
     for j in range(columns):
         out[j] = 0.0
     for i in range(1, count):
-        subtract(points[i], points[0], scratch[:columns])
+        subtract(points[i], points[0], difference)
         for j in range(columns):
-            out[j] += scratch[j]
+            out[j] += difference[j]
     for j in range(columns):
         out[j] = points[0, j] + outer * out[j]

@@ -65,7 +65,8 @@ def rts_smooth(
     left out (status `NOT_FINITE_INPUT`, `DIVERGED`) has the estimate of the step before it, as in the filter.
 
     Args:
-        filter: any filter; its estimates, Q and model are used.
+        filter: any filter; its estimates, Q and model are used. Parameters that it estimates beside its state are not:
+            the backward pass has the model's p.
         U, Y: the record.
         alpha, beta, kappa: scaled unscented transform of the backward pass; as the filter's own for the same rule.
 

@@ -25,8 +25,8 @@ class SRUKF(Filter):
 
     The array form, one QR each for prediction and correction, must take square roots of the weights: with beta = 2,
     kappa = 0 that is 0.518 <= alpha <= 1.93 for any n. Van der Merwe's form, of the papers, has rank-one downdates
-    instead and allows any alpha >= 1e-6; where a downdate fails the array form stands in with a negative centre's
-    weight left out: a larger covariance, status REPAIRED. Where no downdate fails both give the same.
+    instead and allows any alpha >= 1e-6; where a downdate fails the array form stands in (`srukf_forms.py`), status
+    REPAIRED. Where no downdate fails both give the same.
 
     Args:
         alpha, beta, kappa: scaled unscented transform.

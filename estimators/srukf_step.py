@@ -14,6 +14,7 @@ from servohil.estimators.arena import COUNTERS, N_DIVERGED, arena_offsets
 from servohil.estimators.health import DIVERGED, NOT_FINITE_INPUT, WRONG_SIZE
 from servohil.estimators.measurement_update import admit, correct
 from servohil.estimators.sigma_point_update import predict, predict_measurement, propagate
+from servohil.estimators.views import matrix_at, vector_at
 from servohil.estimators.sigma_point_work import OUTER, ROOT_CENTRE, SPREAD, work_offsets
 
 Vector = NDArray[np.float64]
@@ -41,13 +42,13 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
         u: (n_u,) input over the period.
         y: (m,) measurement at its end.
     """
-    n = N
-    m = M
+    n = int(N)
+    m = int(M)
     if u.shape[0] != N_U or y.shape[0] != m:
         return WRONG_SIZE
     a_x, a_factor, a_q, a_r, a_innovation, a_s, a_nis, a_loglik, a_counters, _ = arena_offsets(n, m)
     _, w_gate, w_x, w_factor, w_points, w_outputs, w_stack, w_stages, w_y, w_e, w_scratch, w_end = work_offsets(n, m)
-    counters = arena[a_counters : a_counters + COUNTERS]
+    counters = vector_at(arena, a_counters, COUNTERS)
     present = admit(u, y, counters)
     if present < 0:
         return NOT_FINITE_INPUT
@@ -55,28 +56,29 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     spread = work[SPREAD]
     root_centre = work[ROOT_CENTRE]
     outer = work[OUTER]
-    x = work[w_x : w_x + n]
-    factor = work[w_factor:w_points].reshape((n, n))
-    points = work[w_points:w_outputs].reshape((points_n, n))
-    outputs = work[w_outputs:w_stack].reshape((points_n, m))
-    stack = work[w_stack:w_stages].reshape((points_n + max(n, m), n + m))
-    stages = work[w_stages:w_y].reshape((5, n))
-    e = work[w_e:w_scratch]
-    scratch = work[w_scratch:w_end]
+    x = vector_at(work, w_x, n)
+    factor = matrix_at(work, w_factor, n, n)
+    points = matrix_at(work, w_points, points_n, n)
+    outputs = matrix_at(work, w_outputs, points_n, m)
+    stack = matrix_at(work, w_stack, points_n + max(n, m), n + m)
+    stages = matrix_at(work, w_stages, 5, n)
+    e = vector_at(work, w_e, m)
+    scratch = vector_at(work, w_scratch, n + m)
 
-    last_factor = arena[a_factor:a_q].reshape((n, n))
-    propagate(f, integrate, n, DT, SUBSTEPS, arena[a_x : a_x + n], last_factor, spread, u, p, points, stages)
-    q = arena[a_q:a_r].reshape((n, n))
+    last_x = vector_at(arena, a_x, n)
+    last_factor = matrix_at(arena, a_factor, n, n)
+    propagate(f, integrate, n, DT, SUBSTEPS, last_x, last_factor, spread, u, p, points, stages)
+    q = matrix_at(arena, a_q, n, n)
     if not predict(subtract_x, n, points, q, root_centre, outer, stack, scratch, x, factor):
         counters[N_DIVERGED] += 1.0
         return DIVERGED
     predict_measurement(
-        h, subtract_x, subtract_y, n, m, x, factor, arena[a_r:a_innovation].reshape((m, m)), spread, root_centre,
-        outer, u, p, y, present, points, outputs, stack, work[w_y:w_e], arena[a_s:a_nis].reshape((m, m)),
-        arena[a_innovation:a_s], e, scratch,
+        h, subtract_x, subtract_y, n, m, x, factor, matrix_at(arena, a_r, m, m), spread, root_centre,
+        outer, u, p, y, present, points, outputs, stack, vector_at(work, w_y, m), matrix_at(arena, a_s, m, m),
+        vector_at(arena, a_innovation, m), e, scratch,
     )  # fmt: skip
     status, nis, loglik = correct(
-        stack, points_n + m, present, n, m, e, work[w_gate : w_gate + m], counters, x, factor, scratch
+        stack, points_n + m, present, n, m, e, vector_at(work, w_gate, m), counters, x, factor, scratch
     )
     for i in range(n):
         arena[a_x + i] = x[i]

@@ -2,7 +2,7 @@
 the noise, then rank-one updates and downdates for the central point and for the correction.
 
 It equals the array form as long as it survives; with small noise or alpha its downdates fail, and `srukf_forms.py`
-stands in. Updates come before downdates, and a downdate works on a copy. Compiled once for all models.
+stands in. Updates come before downdates, and all works on copies. Compiled once for all models.
 """
 
 from math import sqrt
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from servohil.estimators.cholesky import downdate, update
 from servohil.estimators.health import OK, REPAIRED
-from servohil.estimators.srukf_forms import copy_upper, cross_factor, reduce_array
+from servohil.estimators.srukf_forms import copy_upper, cross_factor, factor_array, reduce_array
 from servohil.estimators.triangularise import triangularise
 
 Vector = NDArray[np.float64]
@@ -25,34 +25,36 @@ def factor_vdm(
     n: int, q: Matrix, root_centre: float, outer: float, stack: Matrix, spare: Vector, scratch: Vector, factor: Matrix
 ) -> int:
     """As `factor_array` (P1 eq. 5)."""
-    outer_rows = stack[1:]
+    tall = spare[: 3 * n * n].reshape((3 * n, n))
     for i in range(2 * n):
         for j in range(n):
-            outer_rows[i, j] *= sqrt(outer)
+            tall[i, j] = sqrt(outer) * stack[1 + i, j]
     for i in range(n):
         for j in range(n):
-            outer_rows[2 * n + i, j] = q[i, j]
-    triangularise(outer_rows, 3 * n, n, scratch)
-    copy = spare[: n * n].reshape((n, n))
+            tall[2 * n + i, j] = q[i, j]
+    triangularise(tall, 3 * n, n, scratch)
     centre = scratch[:n]
-    for i in range(n):
-        centre[i] = root_centre * stack[0, i]
-        for j in range(n):
-            factor[i, j] = outer_rows[i, j] if j >= i else 0.0
-            copy[i, j] = factor[i, j]
+    for j in range(n):
+        centre[j] = root_centre * stack[0, j]
+    good = True
     if root_centre >= 0.0:
-        update(factor, n, centre)
-        return OK
-    if downdate(copy, n, centre):
-        copy_upper(copy, n, factor)
-        return OK
-    return REPAIRED  # without the centre the factor is what the array form gives
+        update(tall, n, centre)
+    else:
+        good = downdate(tall, n, centre)
+    if not good:
+        factor_array(n, q, root_centre, outer, stack, spare, scratch, factor)
+        return REPAIRED
+    for i in range(n):
+        for j in range(n):
+            factor[i, j] = tall[i, j] if j >= i else 0.0
+    return OK
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def reduce_vdm(
-    stack: Matrix, rows: int, present: int, n: int, root_centre: float, factor: Matrix, spare: Vector, scratch: Vector
-) -> int:
+    stack: Matrix, rows: int, present: int, n: int, root_centre: float, outer: float, factor: Matrix, spare: Vector,
+    scratch: Vector,
+) -> int:  # fmt: skip
     """As `reduce_array` (P1 eq. 9-11)."""
     size = present + n
     block = spare[: size * size].reshape((size, size))
@@ -82,5 +84,5 @@ def reduce_vdm(
         copy_upper(block, size, stack)
         copy_upper(tall, n, stack[present:, present:])
         return OK
-    reduce_array(stack, rows, present, n, root_centre, factor, spare, scratch)
+    reduce_array(stack, rows, present, n, root_centre, outer, factor, spare, scratch)
     return REPAIRED

@@ -6,11 +6,15 @@ from numpy.typing import ArrayLike, NDArray
 from servohil.estimators.arena import arena_offsets
 from servohil.estimators.filter import Filter
 from servohil.estimators.luenberger import check_hidden_decay, split_states
-from servohil.estimators.luenberger_work import ManifoldError, luenberger_work, manifold_parameter
+from servohil.estimators.luenberger_work import (
+    SMOOTH_VARIABLE_STRUCTURE,
+    ManifoldError,
+    luenberger_work,
+    manifold_parameter,
+)
 from servohil.estimators.manifold_step import step
 from servohil.estimators.manifold_update import memory_size
 from servohil.estimators.model import Model
-from servohil.estimators.svsf_gain import svsf_gain
 
 Vector = NDArray[np.float64]
 
@@ -29,9 +33,9 @@ class SVSF(Filter):
     forgotten.
 
     Args:
-        convergence: gamma, a number or (n,) for the outputs and then the hidden states, 0 <= gamma < 1.
         boundary_layer: psi > 0 in the units of the outputs (m,), or (n,) with those of the hidden states in their
             order behind; (m,) leaves the hidden ones to follow the outputs'.
+        convergence: gamma, a number or (n,) for the outputs and then the hidden states, 0 <= gamma < 1.
 
     Raises:
         ValueError: an argument was refused; the message names it, its value and the rule.
@@ -45,8 +49,8 @@ class SVSF(Filter):
         Q: ArrayLike | None = None,
         R: ArrayLike | None = None,
         *,
-        convergence: ArrayLike,
         boundary_layer: ArrayLike,
+        convergence: ArrayLike = 0.5,
         chol_Q: ArrayLike | None = None,
         chol_R: ArrayLike | None = None,
         gate: float | None = None,
@@ -59,8 +63,8 @@ class SVSF(Filter):
         layer = _layer(boundary_layer, n, m)
         split = split_states(model, self._x0, np.linalg.norm(self._factor0, axis=1))
         check_hidden_decay(split.phi, m, np.zeros(n - m), np.zeros(n - m))
-        work = luenberger_work(n, m, self._gate_limits, split.order, gamma, layer, size)
-        self._build(step, work, fill_gain=svsf_gain)
+        work = luenberger_work(n, m, self._gate_limits, SMOOTH_VARIABLE_STRUCTURE, split.order, gamma, layer, size)
+        self._build(step, work)
 
     @staticmethod
     def arena_size(n: int, m: int) -> int:
@@ -81,7 +85,9 @@ def _layer(value: ArrayLike, n: int, m: int) -> Vector:
     except (TypeError, ValueError) as error:
         raise ManifoldError(f"boundary_layer = {value!r}: must be ({m},) or ({n},) numbers") from error
     if layer.shape not in {(m,), (n,)}:
-        raise ManifoldError(f"boundary_layer has shape {layer.shape}: must be ({m},) outputs or ({n},) with hidden states")
+        raise ManifoldError(
+            f"boundary_layer has shape {layer.shape}: must be ({m},) outputs or ({n},) with hidden states"
+        )
     if not ((layer > 0.0) & np.isfinite(layer)).all():
         raise ManifoldError(f"boundary_layer = {layer.tolist()}: must be > 0 and finite")
     return np.concatenate([layer, np.zeros(n - len(layer))])

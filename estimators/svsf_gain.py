@@ -15,10 +15,10 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def svsf_gain(
-    convergence: Vector, layer: Vector, phi: Matrix, n: int, m: int, innovation: Vector, s: Matrix, memory: Vector,
-    visible: bool, through: Matrix, before: Vector, now: Vector, gain: Matrix, change: Vector,
+    convergence: Vector, layer: Vector, phi: Matrix, n: int, m: int, innovation: Vector, memory: Vector, visible: bool,
+    through: Matrix, before: Vector, now: Vector, gain: Matrix, change: Vector,
 ) -> None:  # fmt: skip
     """Fill gain (n, m) and change (n,), rows are outputs and hidden states; both arrive as zeros.
 
@@ -28,7 +28,6 @@ def svsf_gain(
         phi: (n, n) transformed system.
         n, m: numbers of states and outputs.
         innovation: (m,) NaN = missing.
-        s: (m, m) innovation covariance; not used.
         memory: see `manifold_update.py`.
         visible: whether the hidden errors are known.
         through: (n, m) Phi12^+ in its first n - m rows.

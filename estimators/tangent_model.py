@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-# Largest difference step, in units of the scales below: its fourth power and rounding over it are both near 1e-12.
-LARGEST_STEP: Final = 1e-3
+# Largest difference step, in units of the scales below: truncation is near 1e-11 of a curvature over one scale.
+LARGEST_STEP: Final = 4e-3
 # Least scale of a state relative to its value, so that small standard deviations leave digits to the differences.
-LEAST_SCALE: Final = 1e-3
+LEAST_SCALE: Final = 5e-3
 SMALLEST_SCALE: Final = 1e-100
 DIFFERENCES: Final = 4  # rows of scratch that a difference uses
 

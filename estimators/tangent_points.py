@@ -14,7 +14,7 @@ Matrix = NDArray[np.float64]
 Tensor = NDArray[np.float64]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def draw_tangents(dx: Matrix, dfactor: Tensor, spread: float, n: int, k: int, points: Tensor) -> None:
     """Fill the tangents of the sigma points (2n + 1, k, n), as `sigma_points.draw` draws the points."""
     for j in range(k):
@@ -27,7 +27,7 @@ def draw_tangents(dx: Matrix, dfactor: Tensor, spread: float, n: int, k: int, po
                 points[1 + n + i, j, col] = dx[j, col] - offset
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def mean_tangents(tangents: Tensor, count: int, k: int, columns: int, outer: float, out: Matrix) -> None:
     """Fill out (k, columns) with the weighted mean over the points, as `sigma_points.mean` takes it."""
     for j in range(k):
@@ -38,7 +38,7 @@ def mean_tangents(tangents: Tensor, count: int, k: int, columns: int, outer: flo
             out[j, col] = tangents[0, j, col] + outer * total
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def stack_tangents(
     tangents: Tensor, means: Matrix, count: int, k: int, columns: int, skip: Vector, root_centre: float, outer: float,
     array: Matrix, first: int, pitch: int,
@@ -69,7 +69,7 @@ def stack_tangents(
         used += 1
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def stack_noise(
     noise: Matrix, size: int, skip: Vector, place: Vector, since: int, until: int, k: int, array: Matrix, row: int,
     first: int, pitch: int,

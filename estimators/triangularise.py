@@ -2,7 +2,7 @@
 
 Arrays are stored by rows: the *columns* of a lower factor L are the *rows* here. So `triangularise` turns A (rows,
 columns) with A'A = P into the upper R with R'R = P, and L = R' is the lower factor of P with a diagonal >= 0. Nothing
-is subtracted anywhere, so P cannot lose definiteness. Compiled functions that take no model are cached on disk.
+is subtracted anywhere, so P cannot lose definiteness. Compiled once for all sizes and models, and cached on disk.
 """
 
 from math import sqrt
@@ -15,54 +15,110 @@ from numpy.typing import NDArray
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-# Squared column tails below this share of the squared head change nothing in double precision (eps^2 = 5e-32).
-NEGLIGIBLE: Final = 1e-34
+# Share of the squared head that the rest of a column may have and still be left alone: none. However small, it carries
+# its row into columns where that row is all there is (an exact sensor after a vague start: P would become singular).
+NEGLIGIBLE: Final = 0.0
 UNDERFLOW: Final = 1e-290
+# Unsigned indices: a signed one that the compiler cannot prove to be >= 0 costs a test for counting from the end.
+INDEX: Final = np.uint64
+ZERO, ONE, TWO, THREE, FOUR = (INDEX(k) for k in range(5))
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, forceinline=True, error_model="numpy", _nrt=False)
+def _reflect(array: Matrix, k: np.uint64, rows: np.uint64, columns: np.uint64) -> None:
+    """Householder reflection that makes column k zero below the diagonal, diagonal >= 0, for rows k .. rows - 1.
+
+    Parlett's form keeps the diagonal positive without cancellation. Four columns at a time: their sums stay in
+    registers, and the additions of one need not wait for those of another.
+    """
+    head = array[k, k]
+    tail = 0.0
+    for i in range(k + ONE, rows):
+        tail += array[i, k] * array[i, k]
+    if tail <= NEGLIGIBLE * head * head or tail < UNDERFLOW:
+        if head < 0.0:
+            for j in range(k, columns):
+                array[k, j] = -array[k, j]
+        return
+    norm = sqrt(head * head + tail)
+    v = head - norm if head <= 0.0 else -tail / (head + norm)
+    scale = 2.0 / (v * v + tail)
+    j = columns
+    while j > k + FOUR:
+        j -= FOUR
+        s0 = v * array[k, j]
+        s1 = v * array[k, j + ONE]
+        s2 = v * array[k, j + TWO]
+        s3 = v * array[k, j + THREE]
+        for i in range(k + ONE, rows):
+            a = array[i, k]
+            s0 += a * array[i, j]
+            s1 += a * array[i, j + ONE]
+            s2 += a * array[i, j + TWO]
+            s3 += a * array[i, j + THREE]
+        s0 *= scale
+        s1 *= scale
+        s2 *= scale
+        s3 *= scale
+        array[k, j] -= v * s0
+        array[k, j + ONE] -= v * s1
+        array[k, j + TWO] -= v * s2
+        array[k, j + THREE] -= v * s3
+        for i in range(k + ONE, rows):
+            a = array[i, k]
+            array[i, j] -= a * s0
+            array[i, j + ONE] -= a * s1
+            array[i, j + TWO] -= a * s2
+            array[i, j + THREE] -= a * s3
+    while j > k + ONE:
+        j -= ONE
+        s0 = v * array[k, j]
+        for i in range(k + ONE, rows):
+            s0 += array[i, k] * array[i, j]
+        s0 *= scale
+        array[k, j] -= v * s0
+        for i in range(k + ONE, rows):
+            array[i, j] -= array[i, k] * s0
+    array[k, k] = norm
+
+
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def triangularise(array: Matrix, rows: int, columns: int, scratch: Vector) -> None:
     """Householder QR in place: the first `columns` rows of `array` become R, upper, diagonal >= 0, R'R = A'A.
 
-    Entries below the diagonal are left over and mean nothing. Parlett's form of the reflection keeps the diagonal
-    positive without cancellation.
+    Entries below the diagonal are left over and mean nothing.
 
     Args:
         array: (>= rows, >= columns), overwritten.
         rows: rows in use, >= columns.
         columns: columns in use.
-        scratch: (>= columns,), overwritten.
+        scratch: not used.
     """
-    for k in range(columns):
-        head = array[k, k]
-        tail = 0.0
-        for i in range(k + 1, rows):
-            tail += array[i, k] * array[i, k]
-        if tail <= NEGLIGIBLE * head * head or tail < UNDERFLOW:
-            if head < 0.0:
-                for j in range(k, columns):
-                    array[k, j] = -array[k, j]
-            continue
-        norm = sqrt(head * head + tail)
-        v = head - norm if head <= 0.0 else -tail / (head + norm)
-        scale = 2.0 / (v * v + tail)
-        for j in range(k + 1, columns):
-            scratch[j] = v * array[k, j]
-        for i in range(k + 1, rows):
-            a = array[i, k]
-            for j in range(k + 1, columns):
-                scratch[j] += a * array[i, j]
-        for j in range(k + 1, columns):
-            scratch[j] *= scale
-            array[k, j] -= v * scratch[j]
-        for i in range(k + 1, rows):
-            a = array[i, k]
-            for j in range(k + 1, columns):
-                array[i, j] -= a * scratch[j]
-        array[k, k] = norm
+    for k in range(ZERO, INDEX(columns)):
+        _reflect(array, k, INDEX(rows), INDEX(columns))
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
+def triangularise_onto(array: Matrix, rows: int, columns: int, upper: Matrix) -> None:
+    """`triangularise` of `rows` rows of array above the upper triangular `upper` (columns, columns), whose zeros cost
+    nothing.
+
+    Args:
+        array: (>= rows + columns, >= columns), overwritten.
+        rows: full rows in use.
+        columns: columns in use.
+        upper: its part below the diagonal is not read.
+    """
+    full = INDEX(rows)
+    width = INDEX(columns)
+    for i in range(ZERO, width):
+        for j in range(ZERO, width):
+            array[full + i, j] = upper[i, j] if j >= i else 0.0
+    for k in range(ZERO, width):
+        _reflect(array, k, full + k + ONE, width)
+
+
+@njit(nogil=True, cache=True, forceinline=True, error_model="numpy", _nrt=False)
 def solve_transposed(upper: Matrix, size: int, vector: Vector) -> None:
     """Solve R'z = b in place (b -> z) for the upper R in the first `size` rows and columns: forward substitution."""
     for i in range(size):

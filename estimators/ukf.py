@@ -16,9 +16,9 @@ Vector = NDArray[np.float64]
 class UKF(Filter):
     """Unscented Kalman filter with additive noise; arguments and fields of `Filter`.
 
-    The central point may weigh negatively, so any alpha will do, e.g. the papers' 1e-3. Where the covariance then is
-    not positive definite to rounding, that step is made by square roots with the centre's weight left out: a larger
-    covariance, status REPAIRED. `SRUKF` has no need of that.
+    The central point may weigh negatively, so any alpha will do, e.g. the papers' 1e-3. Where a covariance then is not
+    positive definite to rounding, it is found by square roots instead (`srukf_forms.py`), status REPAIRED. `SRUKF` has
+    no need of that.
 
     Args:
         alpha, beta, kappa: scaled unscented transform; alpha >= 1e-6.

@@ -42,8 +42,9 @@ def factor_covariance(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def reduce_covariance(
-    stack: Matrix, rows: int, present: int, n: int, root_centre: float, factor: Matrix, spare: Vector, scratch: Vector
-) -> int:
+    stack: Matrix, rows: int, present: int, n: int, root_centre: float, outer: float, factor: Matrix, spare: Vector,
+    scratch: Vector,
+) -> int:  # fmt: skip
     """As `reduce_array`."""
     size = present + n
     block = spare[: size * size].reshape((size, size))
@@ -70,5 +71,5 @@ def reduce_covariance(
     if good:
         copy_upper(block, size, stack)
         return OK
-    reduce_array(stack, rows, present, n, root_centre, factor, spare, scratch)
+    reduce_array(stack, rows, present, n, root_centre, outer, factor, spare, scratch)
     return REPAIRED

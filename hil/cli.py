@@ -272,6 +272,23 @@ def benchmark_loop(rig: Path, quick: bool, json_path: Path | None, page: Path | 
     sys.exit(0 if holds else EXIT_REFUSED)
 
 
+@benchmark.command("adaptation")
+@click.option("--figure", type=click.Path(path_type=Path), help="Draw the estimates of a cold start into this PNG.")
+@benchmark_options
+def benchmark_adaptation(
+    rig: Path, quick: bool, json_path: Path | None, page: Path | None, figure: Path | None
+) -> None:
+    """What it costs not to know the noise: adaptive filters beside one that knows."""
+    with one_clear_line():
+        from servohil.sim_bench.benchmarks.adaptation import adaptation_claims, draw_cold_start
+        from servohil.sim_bench.benchmarks.command import run_benchmark
+
+        if figure is not None:
+            draw_cold_start(figure)
+        holds = run_benchmark("adaptation", load(rig), lambda tick: adaptation_claims(quick, tick), json_path, page)
+    sys.exit(0 if holds else EXIT_REFUSED)
+
+
 @benchmark.command("wakeup")
 @benchmark_options
 def benchmark_wakeup(rig: Path, quick: bool, json_path: Path | None, page: Path | None) -> None:

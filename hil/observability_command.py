@@ -76,7 +76,7 @@ def simulate_motion(rig: Rig, model: Model) -> Motion:
     ref, e, jerk = np.zeros(4), np.zeros(3), np.zeros(3)
     evaluate(profile, reference.blend_s, 0.0, ref)
     start = float(ref[0])
-    x = np.array([start, 0.0, *_balanced_pressures(rig, supply, tank)])
+    x = np.array([start, 0.0, *balanced_pressures(rig, supply, tank)])
     u = np.array([0.0, supply, tank])
     before, steps = round(reference.blend_s / model.dt), round(period / model.dt)
     states, inputs = np.empty((before + steps, 4)), np.empty((before + steps, 3))
@@ -91,7 +91,7 @@ def simulate_motion(rig: Rig, model: Model) -> Motion:
     return Motion(states[before:], inputs[before:], what)
 
 
-def _balanced_pressures(rig: Rig, supply_pa: float, tank_pa: float) -> tuple[float, float]:
+def balanced_pressures(rig: Rig, supply_pa: float, tank_pa: float) -> tuple[float, float]:
     """Chamber pressures, MPa, of a piston that extends slowly: the forces and the valve's two flows in balance."""
     body = rig.cylinder
     ratio = body.area_a_m2 / body.area_b_m2

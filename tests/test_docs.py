@@ -15,6 +15,7 @@ from servohil.hil.cli import main
 
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("*/README.md"), *ROOT.glob("*/*/README.md")])
 BLOCK = re.compile(r"```sh\n(.*?)```", re.DOTALL)
+PYTHON = re.compile(r"```python\n(.*?)```", re.DOTALL)
 SPAN = re.compile(r"`(hil [^`]*)`|^\$ (?:sudo )?(hil .*)$|^(hil .*)$", re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#\s]+)\)")
 # `make test` runs this very test, and `make bench` is the bench of the next test for longer.
@@ -52,6 +53,17 @@ def test_every_command_runs(page: Path, tmp_path: Path) -> None:
                 if done.returncode == 0:
                     break
             assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if PYTHON.search(p.read_text())], ids=lambda p: p.name)
+def test_every_python_example_runs(page: Path, tmp_path: Path) -> None:
+    """All examples of a page in one interpreter, top to bottom, as a reader would try them."""
+    script = "\n".join(PYTHON.findall(page.read_text()))
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "nan" not in done.stdout and "inf" not in done.stdout
 
 
 def test_make_bench_is_the_bench(tmp_path: Path) -> None:

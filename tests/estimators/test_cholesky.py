@@ -40,7 +40,7 @@ def test_what_is_not_finite_has_no_factor(entry, value):
 
 def test_what_is_not_definite_to_rounding_has_no_factor():
     upper = np.zeros((2, 2))
-    for correlation, definite in ((0.999, True), (1 - 1e-15, True), (1.0, False), (1 + 1e-15, False)):
+    for correlation, definite in ((0.999, True), (1 - 1e-13, True), (1 - 1e-15, False), (1.0, False), (1.1, False)):
         for scale in (1e-8, 1.0, 1e8):  # the verdict does not depend on units
             matrix = np.array([[1.0, correlation * scale], [correlation * scale, scale * scale]])
             assert cholesky(matrix, 2, upper) == definite, (correlation, scale)

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
-from hydraulic_bench import MEASUREMENT_STD, P0, PROCESS_STD, X0, healthy_motion, srukf
+from hydraulic_bench import MEASUREMENT_STD, P0, PROCESS_STD, X0, healthy_motion, model, srukf
 
+from servohil.estimators import ASRUKF
 from servohil.estimators.arena import arena_offsets
 from servohil.estimators.delayed import DelayedFilter, _mark
 from servohil.estimators.health import Status
@@ -192,6 +193,33 @@ def test_a_model_that_raises_in_the_replay_is_left_to_the_filters_step():
     delayed._replay = raises_half_way
     assert delayed.insert(10, [samples[19, 0], NAN, NAN]) == Status.OK
     assert delayed.filter.arena.tobytes() == oracle.arena.tobytes()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("adaptation", ["limited", "likelihood"])
+def test_an_adaptive_filter_is_replayed_with_all_that_it_keeps(adaptation):
+    def adaptive():
+        noise = {"Q": np.diag(PROCESS_STD**2), "R": 9 * np.diag(MEASUREMENT_STD**2)}
+        return ASRUKF(model(), X0, P0, **noise, adaptation=adaptation, warm_up=20, window=100)
+
+    inputs, samples, _ = healthy_motion(400)
+    in_time, late = arriving(samples, 2)
+    known = in_time.copy()
+    delayed, oracle = DelayedFilter(adaptive(), DEPTH), adaptive()
+    for k in range(400):
+        if k in (150, 250):
+            delayed.filter.hold = k == 150
+        delayed.step(inputs[k], in_time[k])
+        for age, reading in late[k]:
+            delayed.insert(age, reading)
+            given = ~np.isnan(reading)
+            known[k - age, given] = reading[given]
+    for k in range(400):
+        if k in (150, 250):
+            oracle.hold = k == 150
+        oracle.step(inputs[k], known[k])
+    assert delayed.filter.arena.tobytes() == oracle.arena.tobytes()
+    assert np.abs(np.diag(oracle.R) / np.diag(MEASUREMENT_STD**2) - 9).max() > 1
 
 
 def test_refusals_name_argument_value_and_rule():

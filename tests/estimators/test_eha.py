@@ -21,7 +21,9 @@ def rate(function, x, flow=0.0, parameters=PARAMETERS):
 def test_the_numbers_of_equation_76_follow_from_table_1():
     a, b = eha.linear_matrices(PARAMETERS)
     printed = np.array([[1, 1e-3, 0], [0, 1, 1e-3], [0, -60.303, 0.708]])
-    assert (np.abs(a - printed) <= [[1e-15], [1e-15], [5e-4]]).all(), a  # the last digit printed
+    assert (np.abs(a - printed) <= [[1e-15], [1e-15], [6e-4]]).all(), (
+        a
+    )  # the last digit printed; 60.3025 was rounded up
     np.testing.assert_allclose(b, [0, 0, 39497], atol=0.5)
 
 

@@ -67,6 +67,7 @@ def test_arithmetic_against_cauchys_integral():
     for y, x in ((U, W), (W, U), (U, -W), (-W, -U)):  # all branches
         offset = math.atan2(y[0, 0], x[0, 0]) - math.atan(y[0, 0] / x[0, 0])
         check(FUNCTIONS["atan2"], lambda a, b, offset=offset: np.arctan(a / b) + offset, y, x)
+    check(FUNCTIONS["atan2"], lambda a, b: np.pi / 2 - np.arctan(b / a), W, U - 0.4 * (np.indices(U.shape).sum(0) == 0))
 
 
 def test_numbers_of_numpy_and_comparisons():

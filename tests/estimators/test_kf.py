@@ -160,7 +160,7 @@ def test_run_equals_the_step_loop_and_the_arena_is_the_whole_state():
     for column, field in zip(zip(*rows, strict=True), ("status", "x", "P", "innovation", "nis"), strict=True):
         np.testing.assert_array_equal(np.array(column), getattr(trajectory, field), err_msg=field)
     assert ours.arena.tobytes() == arena and len(ours.arena) == KF.arena_size(3, 1)
-    other = kf(arena=np.zeros(KF.arena_size(3, 1)), R=[[1.0]])
+    other = kf(arena=np.zeros(KF.arena_size(3, 1)), R=[[1.0]], gate=0.999)
     ours.reset()
     ours.run(inputs[:100], samples[:100])
     other.arena[:] = ours.arena

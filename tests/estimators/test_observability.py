@@ -1,3 +1,4 @@
+import copy
 import math
 
 import numpy as np
@@ -38,6 +39,13 @@ def test_gradients_of_a_linear_system_are_those_of_kalman(integrator):
     gradients = lie_gradients(linear(a, c, integrator), np.ones(5), [0.7])
     for k in range(5):
         np.testing.assert_allclose(gradients[k], c @ np.linalg.matrix_power(a, k), rtol=1e-10, atol=1e-12)
+
+
+def test_a_discrete_model_with_substeps_is_applied_so_often():
+    a, _, c, *_ = random_linear(5, 3, 1)
+    system = copy.copy(linear(a, c, "discrete"))
+    system.substeps = 2
+    np.testing.assert_allclose(lie_gradients(system, np.ones(5), [0.7])[2], c @ np.linalg.matrix_power(a, 4))
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "discrete"])
@@ -150,7 +158,7 @@ def roots_and_squares(x, u, p, dx):
 
 def first_and_nothing(x, u, p, y):
     y[0] = x[0]
-    y[1] = 1.0
+    y[1] = u[0]
 
 
 PAIR = Model(roots_and_squares, first_and_nothing, 2, 2, [], 1.0)
@@ -160,7 +168,7 @@ UNIT = np.ones(2)
 def test_an_output_that_shows_nothing_has_rank_0():
     assert lie_observability(PAIR, UNIT, [0.0], UNIT).rank == 2
     assert lie_observability(PAIR, UNIT, [0.0], UNIT, [1]).rank == 0
-    result = gramian_observability(PAIR, UNIT, np.zeros((2, 1)), UNIT, UNIT, [1])
+    result = gramian_observability(PAIR, UNIT, np.array([[0.0], [-1.0]]), UNIT, UNIT, [1])
     assert result.rank == 0 and np.isinf(result.state_std).all() and math.isinf(result.condition)
 
 

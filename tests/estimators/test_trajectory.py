@@ -14,6 +14,8 @@ def schedules():
     q = np.tile(np.diag(PROCESS_STD**2), (STEPS, 1, 1))
     q[20:40] = np.outer(PROCESS_STD, PROCESS_STD)
     q[40:] *= rng.uniform(1, 9, size=(20, 1, 1))
+    q[50:, 3, 3] *= np.arange(1, 11)
+    q[50:, :3, :3] = q[50, :3, :3]
     r = np.diag(MEASUREMENT_STD**2) * np.linspace(1, 50, STEPS)[:, None, None]
     r[:, 1, 2] = r[:, 2, 1] = 0.4 * r[:, 1, 1]
     return q, r

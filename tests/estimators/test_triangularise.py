@@ -38,6 +38,14 @@ def test_singular_and_negative_arrays_give_finite_factors(array):
     np.testing.assert_allclose(upper.T @ upper, gram, atol=1e-300)
 
 
+def test_an_exact_sensor_after_a_vague_start_leaves_its_own_variance():
+    # [[sigma, sigma], [s, 0]]: prediction with sigma, sensor with s; the corrected deviation is s
+    for sigma, s in ((1e4, 1e-16), (1e20, 1e-20), (-1e4, 1e-16)):
+        array = np.array([[sigma, sigma], [s, 0.0]])
+        triangularise(array, 2, 2, np.empty(2))
+        np.testing.assert_allclose(array[1, 1], s, rtol=1e-12)
+
+
 def test_forward_substitution():
     rng = np.random.default_rng(3)
     upper = np.triu(rng.normal(size=(6, 6))) + 3 * np.eye(6)

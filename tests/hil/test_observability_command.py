@@ -9,7 +9,7 @@ from servohil.hil.assemble import build_model
 from servohil.hil.claims import read_claims
 from servohil.hil.cli import main
 from servohil.hil.config import load_rig
-from servohil.hil.observability_command import simulate_motion
+from servohil.hil.observability_command import balanced_pressures, simulate_motion
 
 STEPS = {
     'kind = "sine"': 'kind = "step"\nlevels_m = [0.2, 0.4]\ndwell_s = 2.0\nramp_s = 1.0',
@@ -58,6 +58,15 @@ def test_the_motion_is_the_reference_also_without_a_plant_section(tmp_path: Path
     np.testing.assert_allclose(motion.states[:, 0], 0.3 + 0.15 * np.sin(2 * (t + 2.0)), atol=1e-3)
     assert (motion.inputs[:, 1] == 100e5).all() and (motion.inputs[:, 2] == 0.0).all()
     assert "100 bar" in motion.what
+
+
+def test_the_motion_begins_with_forces_and_flows_in_balance(tmp_path: Path) -> None:
+    rig = load_rig(write_rig(tmp_path, {"stroke_m = ": "load_force_n = 500.0\nstroke_m = "}))
+    body = rig.cylinder
+    pressure_a, pressure_b = (1e6 * pressure for pressure in balanced_pressures(rig, 14e6, 9e5))
+    assert pressure_a * body.area_a_m2 == pytest.approx(pressure_b * body.area_b_m2 + 500.0)
+    flows = np.sqrt([14e6 - pressure_a, pressure_b - 9e5])
+    assert flows[0] / body.area_a_m2 == pytest.approx(flows[1] / body.area_b_m2)
 
 
 @pytest.mark.parametrize(
