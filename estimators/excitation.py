@@ -1,9 +1,11 @@
 """The gate that holds what is not excited (P4 eq. 9, corrected: norms, and each parameter by itself).
 
-Excitation is the norm of a parameter's sensitivity over the last one to two windows, compared as in P4 with the largest
-that there has been, and with a least value for what has never been excited. Model parameters are judged by the
-predicted measurement in standard deviations of the sensors, not of the innovation: a model that is still wrong makes
-the filter expect large innovations, and would hold the very parameters that could mend it.
+The excitation of a model parameter is what a change of it by its scale does within one step to state and outputs, in
+standard deviations of their noise. It depends on motion and input, not on the tuning of the filter: the sensitivity of
+the estimate would do for the threshold too, but falls when a model that is still wrong makes Q or S grow, and would
+hold the very parameters that could mend it. Its norm over the last one to two windows is compared, as in P4, with the
+largest that there has been, and with a least value for what has never been excited. The logarithm of a variance has
+the norm of its whitened sensitivity, and the least value alone.
 """
 
 from math import isnan
@@ -18,48 +20,49 @@ Matrix = NDArray[np.float64]
 
 @njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def watch_excitation(
-    dy: Matrix, jacobian: Matrix, rows: int, y: Vector, r: Matrix, s: Matrix, m: int, k: int, k_model: int,
-    window: float, memory: float, threshold: Vector, least: float, sums: Matrix, clock: Vector, held: Vector,
+    of_state: Matrix, of_outputs: Matrix, jacobian: Matrix, rows: int, y: Vector, weights: Vector, n: int, m: int,
+    k: int, k_model: int, window: float, memory: float, threshold: Vector, least: float, sums: Matrix, clock: Vector,
+    held: Vector,
 ) -> None:  # fmt: skip
-    """Add a step to the windows and fill held: 1 where the norm of the sensitivity over them is too small.
+    """Add a step to the windows and fill held: 1 where the norm over them is too small.
 
     The norm runs over the window before and the part of this one that has passed, so that nothing is ever subtracted
     from a sum.
 
     Args:
-        dy: (k, m) sensitivity of the predicted measurement.
-        jacobian: (>= rows, k) the same whitened by the innovation covariance, and of second moments.
-        rows: in use, 0 where no correction was made.
+        of_state: (>= k_model, n) change of the state within this step per unit of the parameter.
+        of_outputs: (>= k_model, m) change of the outputs by the parameter and by that change of the state.
+        jacobian: (>= rows, k) whitened sensitivity of the prediction and of second moments.
+        rows: in use, 0 where no correction was made: nothing was learned.
         y: (m,) measurement, NaN = missing.
-        r: (m, m) transposed lower factor of R.
-        s: (m, m) innovation covariance; takes the place of a channel's R where that is 0.
-        m, k: numbers of outputs and of parameters.
-        k_model: the first so many are the model's.
+        weights: (n + m,) one over the noise variances.
+        n, m, k, k_model: numbers of states, outputs, parameters, and how many of them are the model's.
         window: its length in steps.
         memory: steps in which the largest norm fades to 1 / e.
-        threshold: (k,) least norm in parts of the largest.
+        threshold: (k,) least norm in parts of the largest; model parameters.
         least: least norm.
         sums: (3, k) squared norms of the window before and of this one, and the largest squared norm; updated.
         clock: (1,) steps in this window, updated.
         held: (k,) filled.
     """
-    if rows > 0:
-        for c in range(m):
-            variance = 0.0
-            for i in range(m):
-                variance += r[i, c] * r[i, c]
-            if variance == 0.0:
-                variance = s[c, c]
-            if not isnan(y[c]):
-                for j in range(k_model):
-                    sums[1, j] += dy[j, c] * dy[j, c] / variance
-        for j in range(k_model, k):
-            for i in range(rows):
-                sums[1, j] += jacobian[i, j] * jacobian[i, j]
     for j in range(k):
+        total = 0.0
+        if rows > 0 and j < k_model:
+            for i in range(n):
+                total += weights[i] * of_state[j, i] * of_state[j, i]
+            for c in range(m):
+                if not isnan(y[c]):
+                    total += weights[n + c] * of_outputs[j, c] * of_outputs[j, c]
+        else:
+            for i in range(rows):
+                total += jacobian[i, j] * jacobian[i, j]
+        sums[1, j] += total
         norm = sums[0, j] + sums[1, j]
         sums[2, j] = max(norm, sums[2, j] * (1.0 - 2.0 / memory))
-        held[j] = 1.0 if norm < max(threshold[j] * threshold[j] * sums[2, j], least * least) else 0.0
+        enough = least * least
+        if j < k_model:
+            enough = max(enough, threshold[j] * threshold[j] * sums[2, j])
+        held[j] = 1.0 if norm < enough else 0.0
     clock[0] += 1.0
     if clock[0] >= window:
         clock[0] = 0.0

@@ -71,8 +71,8 @@ class Filter:
         self._gate_limits = gate_limits(gate, m)
         self._x0 = state_vector("x0", x0, n)
         self._factor0 = lower_factor("P0", P0, n, definite=True)
-        factor_q = _noise("Q", Q, chol_Q, n)
-        factor_r = _noise("R", R, chol_R, m)
+        factor_q = noise_factor("Q", Q, chol_Q, n)
+        factor_r = noise_factor("R", R, chol_R, m)
         start = arena_offsets(n, m)
         size = start[-1] + own_size
         self.arena = np.zeros(size) if arena is None else _arena(arena, size)
@@ -256,7 +256,12 @@ def state_vector(name: str, value: ArrayLike, n: int) -> Vector:
     return vector
 
 
-def _noise(name: str, value: ArrayLike | None, factor: ArrayLike | None, size: int) -> Matrix:
+def noise_factor(name: str, value: ArrayLike | None, factor: ArrayLike | None, size: int) -> Matrix:
+    """(size, size) lower factor of a noise covariance given as itself or by a factor.
+
+    Raises:
+        ValueError: both or neither given, or the one given is refused.
+    """
     if (value is None) == (factor is None):
         given = "neither" if value is None else "both"
         raise FilterError(f"{name} and chol_{name}: {given} given, exactly one is needed")

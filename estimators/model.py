@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from servohil.estimators.integrate import INTEGRATORS, STAGES, discrete, euler, rk4
 from servohil.estimators.specialise import specialise
+from servohil.estimators.views import matrix_at
 
 Vector = NDArray[np.float64]
 ModelFunction = Callable[[Vector, Vector, Vector, Vector], None]
@@ -45,7 +46,7 @@ SUBSTEPS: int = 0
 
 
 def _advance(x: Vector, u: Vector, p: Vector, stages: Vector) -> None:
-    integrate(f, N, DT, SUBSTEPS, x, u, p, stages.reshape((5, N)))
+    integrate(f, N, DT, SUBSTEPS, x, u, p, matrix_at(stages, 0, STAGES, N))
 
 
 def _outputs(x: Vector, u: Vector, p: Vector, y: Vector) -> None:
@@ -56,6 +57,11 @@ def difference(a: Vector, b: Vector, out: Vector) -> None:
     """Fill out with a - b: the residual of states or outputs that are plain numbers."""
     for i in range(out.shape[0]):
         out[i] = a[i] - b[i]
+
+
+# Calls of small functions cost more than what they do, and are in the way of the compiler.
+OPTIONS: Final = {"nogil": True, "error_model": "numpy", "forceinline": True}
+_DIFFERENCE: Final = njit(cache=True, **OPTIONS)(difference)
 
 
 class Model:
@@ -111,6 +117,7 @@ class Model:
         self.units = _labels("units", units, self.n, ("",) * self.n)
         f = _plain("f", f)
         h = _plain("h", h)
+        self.f, self.h = f, h  # the plain functions
         residuals = {
             name: difference if g is None else _plain(name, g)
             for name, g in (("state_residual", state_residual), ("output_residual", output_residual))
@@ -123,7 +130,9 @@ class Model:
             "subtract_x": residuals["state_residual"],
             "subtract_y": residuals["output_residual"],
         }
-        self._compiled = {name: njit(nogil=True, error_model="numpy")(g) for name, g in functions.items()}
+        self._compiled = {
+            name: _DIFFERENCE if g is difference else njit(**OPTIONS)(g) for name, g in functions.items()
+        }
         self._stages = np.zeros(STAGES * self.n)
         signature = f"void({VECTOR}, {VECTOR}, {VECTOR}, {VECTOR})"
         sizes = (self.n, self.n_u, self.p)

@@ -79,8 +79,9 @@ def scale_variance(noise: Matrix, size: int, entry: int, change: float, lower: f
 
 @njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def adapt(
-    arena: Vector, start: int, settings: Vector, n: int, m: int, jacobian: Matrix, rows: int, present: int, y: Vector,
-    innovation: Vector, whitened: Vector, s: Matrix, upper: Matrix, q: Matrix, r: Matrix, scratch: Vector,
+    arena: Vector, start: int, settings: Vector, n: int, m: int, of_state: Matrix, of_outputs: Matrix,
+    jacobian: Matrix, rows: int, present: int, y: Vector, innovation: Vector, whitened: Vector, s: Matrix,
+    upper: Matrix, q: Matrix, r: Matrix, scratch: Vector,
 ) -> None:  # fmt: skip
     """Watch the excitation and, unless adaptation is off or nothing was measured, move the parameters.
 
@@ -89,6 +90,7 @@ def adapt(
         start: see above.
         settings: see `sensitivity_layout.setting_offsets`.
         n, m: numbers of states and outputs.
+        of_state, of_outputs: see `excitation.watch_excitation`.
         jacobian: (>= rows, k) whitened sensitivities.
         rows: in use; 0: no correction was made.
         present: channels present.
@@ -105,14 +107,15 @@ def adapt(
     k_q = int(settings[K_Q])
     forgetting = settings[FORGETTING]
     likelihood = settings[LIKELIHOOD] != 0.0
-    _, s_place, s_rate, s_lower, s_upper, s_threshold, s_largest, s_end = setting_offsets(k, 0)
-    o_theta, _, _, o_dy, o_dloglik, _, _, o_covariance, o_error, o_excitation, o_clock, o_held, o_adapting, _ = (
-        own_offsets(n, m, k, k_model, start)
+    _, s_place, s_rate, s_lower, s_upper, s_threshold, s_weights, s_largest, s_end = setting_offsets(n, m, k, 0)
+    o_theta, _, _, _, _, _, _, o_covariance, o_error, o_excitation, o_clock, o_held, o_adapting, _ = own_offsets(
+        n, m, k, k_model, start
     )
     held = arena[o_held:o_adapting]
     watch_excitation(
-        arena[o_dy:o_dloglik].reshape((k, m)), jacobian, rows, y, r, s, m, k, k_model, settings[WINDOW], settings[MEMORY],
-        settings[s_threshold:s_largest], settings[LEAST], arena[o_excitation:o_clock].reshape((3, k)), arena[o_clock:o_held], held,
+        of_state, of_outputs, jacobian, rows, y, settings[s_weights:s_largest], n, m, k, k_model, settings[WINDOW],
+        settings[MEMORY], settings[s_threshold:s_weights], settings[LEAST],
+        arena[o_excitation:o_clock].reshape((3, k)), arena[o_clock:o_held], held,
     )  # fmt: skip
     if rows == 0 or arena[o_adapting] == 0.0:
         return

@@ -18,9 +18,8 @@ K, K_MODEL, K_Q, N_PARAMETERS, N_STATES, N_OUTPUTS, FORGETTING, LIKELIHOOD, WIND
 def own_offsets(n: int, m: int, k: int, k_model: int, start: int) -> tuple[int, ...]:
     """Starts, from `start` on, of model parameters (k_model), dx (k, n), transposed lower factor's derivative
     (k, n, n), dy (k, m), d loglik (k), gain (n, m), d gain (k, n, m), transposed lower factor of the parameters'
-    covariance (k, k), the same of the prediction error's (m, m), squared excitation of the window before, of this, and the
-    largest (3, k),
-    steps in this window, held (k), adapting; then the end."""
+    covariance (k, k), the same of the prediction error's (m, m), squared excitation of the window
+    before, of this, and the largest (3, k), steps in this window, held (k), adapting; then the end."""
     dx = start + k_model
     dfactor = dx + k * n
     dy = dfactor + k * n * n
@@ -38,26 +37,37 @@ def own_offsets(n: int, m: int, k: int, k_model: int, start: int) -> tuple[int, 
 
 
 @register_jitable
-def setting_offsets(k: int, start: int) -> tuple[int, ...]:
+def setting_offsets(n: int, m: int, k: int, start: int) -> tuple[int, ...]:
     """Starts, from `start` on, of the settings, place in p, Q or R (k), rate (k), lower and upper bound (k, k),
-    excitation threshold (k), largest variance (k); then the end."""
+    excitation threshold (k), weights of states and outputs in the excitation (n + m), largest variance (k); then the
+    end."""
     place = start + SETTINGS
-    return start, place, place + k, place + 2 * k, place + 3 * k, place + 4 * k, place + 5 * k, place + 6 * k
+    rate = place + k
+    lower = rate + k
+    upper = lower + k
+    threshold = upper + k
+    weights = threshold + k
+    largest = weights + n + m
+    return start, place, rate, lower, upper, threshold, weights, largest, largest + k
 
 
 @register_jitable
 def scratch_offsets(n: int, m: int, k: int, n_p: int, start: int) -> tuple[int, ...]:
-    """Starts, from `start` on, of the parameters in use (n_p), scales (n), residuals of the propagated points
-    (2n + 1, n), tangents of points (2n + 1, k, n) and of outputs (2n + 1, k, m), difference scratch
+    """Starts, from `start` on, of the parameters in use (n_p), scales (n), points (2n + 2, n), their residuals
+    (2n + 1, n), tangents of points (2n + 2, k, n) and of outputs (2n + 2, k, m), difference scratch
     (2k + 6, max(n, m)), array (2n + 1 + max(n, m), (n + m) (1 + k)), its scratch ((n + m) (1 + k)), dx (k, n),
-    dfactor (k, n, n), Jacobian (m + m (m + 1) / 2, k), the parameters' update; then the end."""
+    dfactor (k, n, n), Jacobian (m + m (m + 1) / 2, k), the parameters' update; then the end.
+
+    The point behind the sigma points is the estimate itself, whose tangents start from zero in every step: the
+    excitation of the model parameters."""
     columns = (n + m) * (1 + k)
     points_n = 2 * n + 1
     scales = start + n_p
-    residuals = scales + n
-    points = residuals + points_n * n
-    outputs = points + points_n * k * n
-    differences = outputs + points_n * k * m
+    points = scales + n
+    residuals = points + (points_n + 1) * n
+    tangents = residuals + points_n * n
+    outputs = tangents + (points_n + 1) * k * n
+    differences = outputs + (points_n + 1) * k * m
     array = differences + (2 * k + 6) * max(n, m)
     reflections = array + (points_n + max(n, m)) * columns
     dx = reflections + columns
@@ -66,20 +76,9 @@ def scratch_offsets(n: int, m: int, k: int, n_p: int, start: int) -> tuple[int, 
     update = jacobian + (m + m * (m + 1) // 2) * k
     end = update + update_words(m, k)
     return (
-        start,
-        scales,
-        residuals,
-        points,
-        outputs,
-        differences,
-        array,
-        reflections,
-        dx,
-        dfactor,
-        jacobian,
-        update,
-        end,
-    )
+        start, scales, points, residuals, tangents, outputs, differences, array, reflections, dx, dfactor, jacobian,
+        update, end,
+    )  # fmt: skip
 
 
 @register_jitable

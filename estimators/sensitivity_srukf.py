@@ -51,10 +51,12 @@ class SensitivitySRUKF(Filter):
         criterion: "likelihood" weighs the innovation e with its covariance S, and a variance also hears how e e'
             compares with S: it finds the size of Q and R. "prediction-error" is P4's: weighed with the running mean of
             e e'; only the ratio of Q to R can be told from it, so give part of the entries.
-        threshold: P4's, one number or (k,) between 0 and 1: a parameter is held while its excitation is below this part
-            of the largest so far. Excitation is the norm of the sensitivity over one to two windows: how many standard
-            deviations of the sensors a change by its scale makes (5: the window tells it to within 20 %).
-        least_excitation: below this a parameter is held whatever the largest was.
+        threshold: P4's, one number or (k,) between 0 and 1: a model parameter is held while its excitation is below
+            this part of the largest so far. Excitation is what a change of the parameter by its scale does within a
+            step to state and outputs, in standard deviations of Q and R at the start, as a norm over one to two
+            windows.
+        least_excitation: below this a parameter is held whatever the largest was. The excitation of a variance is the
+            norm of its whitened sensitivity (5: the window tells it to within 20 %).
         window: steps.
         memory: steps in which the largest excitation fades to 1 / e.
         scale: (k_model,) in which parameters are counted; None: their start's magnitude, 1 where that is 0.
@@ -85,7 +87,7 @@ class SensitivitySRUKF(Filter):
         forgetting: float = 0.999,
         criterion: str = "likelihood",
         threshold: ArrayLike = 0.3,
-        least_excitation: float = 5.0,
+        least_excitation: float = 1.0,
         window: int = 200,
         memory: float = 1e5,
         scale: ArrayLike | None = None,
@@ -140,11 +142,13 @@ class SensitivitySRUKF(Filter):
             raise FilterError(f"lower = {low}, upper = {high}: must be finite for the logarithm of a variance")
         work = sigma_point_work(n, m, _weights(transform, n, alpha, beta, kappa), self._gate_limits)
         settings = np.concatenate([
-            [k, k_model, k_q, n_p, n, m, forgetting, float(criterion == "likelihood"), window, memory, least_excitation],
+            [k, k_model, k_q, n_p, n, m],
+            [forgetting, float(criterion == "likelihood"), window, memory, least_excitation],
             self._index, self._q_entries, self._r_entries, self._rates, low, high,
-            positive("threshold", threshold, k), np.sum(np.square(self._covariance0), axis=1),
+            positive("threshold", threshold, k), self._excitation_weights(),
+            np.sum(np.square(self._covariance0), axis=1),
         ])  # fmt: skip
-        assert len(settings) == setting_offsets(k, 0)[-1]
+        assert len(settings) == setting_offsets(n, m, k, 0)[-1]
         scratch = np.zeros(scratch_offsets(n, m, k, n_p, 0)[-1])
         (
             self._theta, self._dx, self._dfactor, self._dy, self._dloglik, self._gain, self._dgain, self._covariance,
@@ -158,6 +162,14 @@ class SensitivitySRUKF(Filter):
         """Float64 elements of the arena with n states, m outputs, k estimated quantities, k_model of them of the
         model."""
         return own_offsets(n, m, k, k_model, arena_offsets(n, m)[-1])[-1]
+
+    def _excitation_weights(self) -> Vector:
+        """(n + m,) one over the variances of the noise; a state without has its initial one, an output without that of
+        its prediction: none."""
+        noise = np.sum(np.square(self._q), axis=0), np.sum(np.square(self._r), axis=0)
+        start = np.sum(np.square(self._factor0), axis=1)
+        states = np.where(noise[0] > 0.0, noise[0], start)
+        return 1.0 / np.concatenate([states, np.where(noise[1] > 0.0, noise[1], np.inf)])
 
     def _reset_own(self) -> None:
         adapting = self.adapting

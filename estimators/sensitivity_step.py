@@ -64,8 +64,8 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
         return NOT_FINITE_INPUT
     k = int(work[w_own + K])
     k_model = int(work[w_own + K_MODEL])
-    _, s_place, s_rate, _, _, _, _, s_end = setting_offsets(k, w_own)
-    t_p, t_scales, t_residuals, t_points, t_outputs, t_differences, _, _, _, _, _, _, _ = scratch_offsets(
+    _, s_place, s_rate, _, _, _, _, _, s_end = setting_offsets(n, m, k, w_own)
+    t_p, t_scales, t_points, t_residuals, t_tangents, t_outputs, t_differences, _, _, _, _, _, _, _ = scratch_offsets(
         n, m, k, int(work[w_own + N_PARAMETERS]), s_end
     )
     states = int(work[w_own + N_STATES])  # n and m again, but no constants: what takes these is compiled once for all
@@ -82,25 +82,26 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     stages = work[w_stages:w_y].reshape((5, n))
     scratch = work[w_scratch:w_own]
     params = work[t_p:t_scales]
-    scales = work[t_scales:t_residuals]
+    scales = work[t_scales:t_points]
+    drawn = work[t_points:t_residuals].reshape((points_n + 1, n))
     place = work[s_place : s_place + k]
     rates = work[s_rate : s_rate + k]
-    dpoints = work[t_points:t_outputs].reshape((points_n, k, n))
-    doutputs = work[t_outputs:t_differences].reshape((points_n, k, m))
+    tangents = work[t_tangents:t_outputs].reshape((points_n + 1, k, n))
+    doutputs = work[t_outputs:t_differences].reshape((points_n + 1, k, m))
     rows = work[t_differences : t_differences + (2 * k + 6) * n].reshape((2 * k + 6, n))
 
     begin(arena, work, p, states, channels)
-    for i in range(points_n):
+    for i in range(points_n + 1):
         integrate_tangents(
-            f, n, k, k_model, DT, SUBSTEPS, points[i], dpoints[i], u, params, place, rates, scales, stages, rows
+            f, n, k, k_model, DT, SUBSTEPS, drawn[i], tangents[i], u, params, place, rates, scales, stages, rows
         )
     q = arena[a_q:a_r].reshape((n, n))
-    if not predict(subtract_x, n, points, q, root_centre, outer, stack, scratch, x, factor):
+    if not predict(subtract_x, n, drawn, q, root_centre, outer, stack, scratch, x, factor):
         counters[N_DIVERGED] += 1.0
         return DIVERGED
     for i in range(points_n):
         start = t_residuals + i * n
-        subtract_x(points[i], x, work[start : start + n])
+        subtract_x(drawn[i], x, work[start : start + n])
     predict_tangents(arena, work, states, channels)
     predict_measurement(
         h, subtract_x, subtract_y, n, m, x, factor, arena[a_r:a_innovation].reshape((m, m)), spread, root_centre,
@@ -109,11 +110,12 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     )  # fmt: skip
     values = work[t_differences : t_differences + DIFFERENCES * m].reshape((DIFFERENCES, m))
     moved = work[t_differences + DIFFERENCES * m : t_differences + DIFFERENCES * m + n]
-    for i in range(points_n):
+    for i in range(points_n + 1):
+        at = points[i if i < points_n else 0]
         for j in range(k):
             index = int(place[j]) if j < k_model else -1
             derivative_along(
-                h, m, n, points[i], u, params, dpoints[i, j], index, rates[j], scales, moved, values, doutputs[i, j]
-            )
+                h, m, n, at, u, params, tangents[i, j], index, rates[j], scales, moved, values, doutputs[i, j]
+            )  # fmt: skip
     measurement_tangents(arena, work, y, present, states, channels)
     return finish(arena, work, y, present, states, channels)

@@ -38,12 +38,15 @@ def begin(arena: Vector, work: Vector, p: Vector, n: int, m: int) -> None:
     """Put the estimated parameters in place, draw the points of the last estimate and their tangents, and the scales
     of the differences of f."""
     a_x, a_factor, a_q, _, _, _, _, _, _, a_own = arena_offsets(n, m)
-    _, _, _, _, w_points, w_outputs, _, _, _, _, _, w_own = work_offsets(n, m)
+    _, _, _, _, _, _, _, _, _, _, _, w_own = work_offsets(n, m)
     k = int(work[w_own + K])
     k_model = int(work[w_own + K_MODEL])
     n_p = int(work[w_own + N_PARAMETERS])
-    _, s_place, _, _, _, _, _, s_end = setting_offsets(k, w_own)
-    t_p, t_scales, t_residuals, t_points, t_outputs, _, _, _, _, _, _, _, _ = scratch_offsets(n, m, k, n_p, s_end)
+    _, s_place, _, _, _, _, _, _, s_end = setting_offsets(n, m, k, w_own)
+    t_p, t_scales, t_points, t_residuals, t_tangents, t_outputs, _, _, _, _, _, _, _, _ = scratch_offsets(
+        n, m, k, n_p, s_end
+    )
+    points_n = 2 * n + 1
     o_theta, o_dx, o_dfactor, o_dy, _, _, _, _, _, _, _, _, _, _ = own_offsets(n, m, k, k_model, a_own)
     for i in range(n_p):
         work[t_p + i] = p[i]
@@ -51,12 +54,16 @@ def begin(arena: Vector, work: Vector, p: Vector, n: int, m: int) -> None:
         work[t_p + int(work[s_place + j])] = arena[o_theta + j]
     x = arena[a_x : a_x + n]
     factor = arena[a_factor:a_q].reshape((n, n))
-    draw(x, factor, work[SPREAD], n, work[w_points:w_outputs].reshape((2 * n + 1, n)))
-    state_scales(x, factor, n, work[t_scales:t_residuals])
-    draw_tangents(
-        arena[o_dx:o_dfactor].reshape((k, n)), arena[o_dfactor:o_dy].reshape((k, n, n)), work[SPREAD], n, k,
-        work[t_points:t_outputs].reshape((2 * n + 1, k, n)),
-    )  # fmt: skip
+    points = work[t_points:t_residuals].reshape((points_n + 1, n))
+    tangents = work[t_tangents:t_outputs].reshape((points_n + 1, k, n))
+    dfactor = arena[o_dfactor:o_dy].reshape((k, n, n))
+    draw(x, factor, work[SPREAD], n, points)
+    draw_tangents(arena[o_dx:o_dfactor].reshape((k, n)), dfactor, work[SPREAD], n, k, tangents)
+    for i in range(n):
+        points[points_n, i] = x[i]
+        for j in range(k):
+            tangents[points_n, j, i] = 0.0
+    state_scales(x, factor, n, work[t_scales:t_points])
 
 
 @njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
@@ -67,16 +74,29 @@ def predict_tangents(arena: Vector, work: Vector, n: int, m: int) -> None:
     _, _, w_x, w_factor, w_points, _, _, _, _, _, _, w_own = work_offsets(n, m)
     k = int(work[w_own + K])
     k_model = int(work[w_own + K_MODEL])
-    _, s_place, s_rate, _, _, _, _, s_end = setting_offsets(k, w_own)
-    _, t_scales, t_residuals, t_points, t_outputs, _, t_array, t_reflections, t_dx, t_dfactor, t_jacobian, _, _ = (
-        scratch_offsets(n, m, k, int(work[w_own + N_PARAMETERS]), s_end)
-    )
+    _, s_place, s_rate, _, _, _, _, _, s_end = setting_offsets(n, m, k, w_own)
+    (
+        _,
+        t_scales,
+        t_points,
+        t_residuals,
+        t_tangents,
+        t_outputs,
+        _,
+        t_array,
+        t_reflections,
+        t_dx,
+        t_dfactor,
+        t_jacobian,
+        _,
+        _,
+    ) = scratch_offsets(n, m, k, int(work[w_own + N_PARAMETERS]), s_end)
     points_n = 2 * n + 1
     width = n * (1 + k)
     x = work[w_x:w_factor]
     q = arena[a_q:a_r].reshape((n, n))
     stack = work[t_array : t_array + (points_n + n) * width].reshape((points_n + n, width))
-    tangents = work[t_points:t_outputs].reshape((points_n, k, n))
+    tangents = work[t_tangents:t_outputs].reshape((points_n + 1, k, n))
     dx = work[t_dx:t_dfactor].reshape((k, n))
     dfactor = work[t_dfactor:t_jacobian].reshape((k, n, n))
     mean_tangents(tangents, points_n, k, n, work[OUTER], dx)
@@ -97,7 +117,7 @@ def predict_tangents(arena: Vector, work: Vector, n: int, m: int) -> None:
             for col in range(n):
                 dfactor[j, i, col] = stack[i, n * (1 + j) + col] if col >= i else 0.0
     draw_tangents(dx, dfactor, work[SPREAD], n, k, tangents)
-    state_scales(x, work[w_factor:w_points].reshape((n, n)), n, work[t_scales:t_residuals])
+    state_scales(x, work[w_factor:w_points].reshape((n, n)), n, work[t_scales:t_points])
 
 
 @njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
@@ -108,9 +128,9 @@ def measurement_tangents(arena: Vector, work: Vector, y: Vector, present: int, n
     _, _, w_x, w_factor, _, _, w_stack, w_stages, _, _, _, w_own = work_offsets(n, m)
     k = int(work[w_own + K])
     k_model = int(work[w_own + K_MODEL])
-    _, s_place, s_rate, _, _, _, _, s_end = setting_offsets(k, w_own)
-    _, _, _, t_points, t_outputs, t_differences, t_array, t_reflections, t_dx, t_dfactor, _, _, _ = scratch_offsets(
-        n, m, k, int(work[w_own + N_PARAMETERS]), s_end
+    _, s_place, s_rate, _, _, _, _, _, s_end = setting_offsets(n, m, k, w_own)
+    _, _, _, _, t_tangents, t_outputs, t_differences, t_array, t_reflections, t_dx, t_dfactor, _, _, _ = (
+        scratch_offsets(n, m, k, int(work[w_own + N_PARAMETERS]), s_end)
     )
     _, _, _, o_dy, o_dloglik, _, _, _, _, _, _, _, _, _ = own_offsets(n, m, k, k_model, a_own)
     points_n = 2 * n + 1
@@ -119,8 +139,8 @@ def measurement_tangents(arena: Vector, work: Vector, y: Vector, present: int, n
     root_centre = work[ROOT_CENTRE]
     outer = work[OUTER]
     stack = work[w_stack:w_stages].reshape((points_n + max(n, m), n + m))
-    tangents = work[t_points:t_outputs].reshape((points_n, k, n))
-    doutputs = work[t_outputs:t_differences].reshape((points_n, k, m))
+    tangents = work[t_tangents:t_outputs].reshape((points_n + 1, k, n))
+    doutputs = work[t_outputs:t_differences].reshape((points_n + 1, k, m))
     dx = work[t_dx:t_dfactor].reshape((k, n))
     dy = arena[o_dy:o_dloglik].reshape((k, m))
     mean_tangents(doutputs, points_n, k, m, outer, dy)
@@ -153,9 +173,9 @@ def finish(arena: Vector, work: Vector, y: Vector, present: int, n: int, m: int)
     k = int(work[w_own + K])
     k_model = int(work[w_own + K_MODEL])
     settings = work[w_own:]
-    _, _, _, _, _, _, _, s_end = setting_offsets(k, w_own)
-    _, _, _, _, _, t_differences, t_array, _, t_dx, t_dfactor, t_jacobian, t_update, _ = scratch_offsets(
-        n, m, k, int(work[w_own + N_PARAMETERS]), s_end
+    _, _, _, _, _, _, _, _, s_end = setting_offsets(n, m, k, w_own)
+    _, _, _, _, t_tangents, t_outputs, t_differences, t_array, _, t_dx, t_dfactor, t_jacobian, t_update, _ = (
+        scratch_offsets(n, m, k, int(work[w_own + N_PARAMETERS]), s_end)
     )
     _, o_dx, _, o_dy, o_dloglik, o_gain, o_dgain, o_covariance, _, _, _, _, _, _ = own_offsets(n, m, k, k_model, a_own)
     x = work[w_x:w_factor]
@@ -200,8 +220,10 @@ def finish(arena: Vector, work: Vector, y: Vector, present: int, n: int, m: int)
         arena[a_factor + i] = work[w_factor + i]
     arena[a_nis] = nis
     arena[a_loglik] = loglik
+    of_state = work[t_tangents:t_outputs].reshape((2 * n + 2, k, n))[2 * n + 1]
+    of_outputs = work[t_outputs:t_differences].reshape((2 * n + 2, k, m))[2 * n + 1]
     adapt(
-        arena, a_own, settings, n, m, jacobian, 0 if status & REPAIRED else rows, present, y,
+        arena, a_own, settings, n, m, of_state, of_outputs, jacobian, 0 if status & REPAIRED else rows, present, y,
         arena[a_innovation:a_s], e, arena[a_s:a_nis].reshape((m, m)), upper, arena[a_q:a_r].reshape((n, n)),
         arena[a_r:a_innovation].reshape((m, m)), work[t_update:],
     )  # fmt: skip

@@ -14,7 +14,7 @@ from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from servohil.estimators.adaptive_layout import MEANS
+from servohil.estimators.adaptive_layout import MEANS, adaptive_offsets
 from servohil.estimators.arena import COUNTERS, N_DIVERGED, N_REPAIRED, arena_offsets
 from servohil.estimators.health import DIVERGED, NOT_FINITE_INPUT, OK, REPAIRED, WRONG_SIZE
 from servohil.estimators.measurement_update import admit, commit, within
@@ -23,6 +23,7 @@ from servohil.estimators.sigma_point_update import predict_measurement, propagat
 from servohil.estimators.sigma_point_work import OUTER, ROOT_CENTRE, SPREAD, sigma_point_work, work_offsets
 from servohil.estimators.sigma_points import Weights, mean
 from servohil.estimators.srukf_forms import rest_weight
+from servohil.estimators.views import matrix_at, vector_at
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -84,14 +85,14 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
         u: (n_u,) input over the period.
         y: (m,) measurement at its end.
     """
-    n = N
-    m = M
+    n = int(N)
+    m = int(M)
     if u.shape[0] != N_U or y.shape[0] != m:
         return WRONG_SIZE
     a_x, a_factor, a_q, a_r, a_innovation, a_s, a_nis, a_loglik, a_counters, a_own = arena_offsets(n, m)
-    _, w_gate, w_x, w_factor, w_points, w_outputs, w_stack, w_stages, w_y, w_e, w_scratch, w_end = work_offsets(n, m)
+    _, w_gate, w_x, w_factor, w_points, w_outputs, w_stack, w_stages, w_y, w_e, w_scratch, _ = work_offsets(n, m)
     w_settings, w_seen, w_spare, w_size = form_offsets(n, m)
-    counters = arena[a_counters : a_counters + COUNTERS]
+    counters = vector_at(arena, a_counters, COUNTERS)
     present = admit(u, y, counters)
     if present < 0:
         return NOT_FINITE_INPUT
@@ -99,24 +100,28 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     spread = work[SPREAD]
     root_centre = work[ROOT_CENTRE]
     outer = work[OUTER]
-    x = work[w_x : w_x + n]
-    factor = work[w_factor:w_points].reshape((n, n))
-    points = work[w_points:w_outputs].reshape((points_n, n))
-    outputs = work[w_outputs:w_stack].reshape((points_n, m))
-    stack = work[w_stack:w_stages].reshape((points_n + max(n, m), n + m))
-    stages = work[w_stages:w_y].reshape((5, n))
-    e = work[w_e:w_scratch]
-    scratch = work[w_scratch:w_end]
-    spare = work[w_spare:w_size]
-    q = arena[a_q:a_r].reshape((n, n))
-    r = arena[a_r:a_innovation].reshape((m, m))
-    s = arena[a_s:a_nis].reshape((m, m))
+    x = vector_at(work, w_x, n)
+    factor = matrix_at(work, w_factor, n, n)
+    points = matrix_at(work, w_points, points_n, n)
+    outputs = matrix_at(work, w_outputs, points_n, m)
+    stack = matrix_at(work, w_stack, points_n + max(n, m), n + m)
+    stages = matrix_at(work, w_stages, 5, n)
+    e = vector_at(work, w_e, m)
+    scratch = vector_at(work, w_scratch, n + m)
+    spare = vector_at(work, w_spare, w_size - w_spare)
+    q = matrix_at(arena, a_q, n, n)
+    r = matrix_at(arena, a_r, m, m)
+    s = matrix_at(arena, a_s, m, m)
 
-    last_factor = arena[a_factor:a_q].reshape((n, n))
-    propagate(f, integrate, n, DT, SUBSTEPS, arena[a_x : a_x + n], last_factor, spread, u, p, points, stages)
-    mean(subtract_x, points, points_n, n, outer, stack[0], x)
+    last_x = vector_at(arena, a_x, n)
+    last_factor = matrix_at(arena, a_factor, n, n)
+    propagate(f, integrate, n, DT, SUBSTEPS, last_x, last_factor, spread, u, p, points, stages)
+    mean(subtract_x, points, points_n, n, outer, scratch, x)
+    deviation = vector_at(scratch, 0, n)
     for i in range(points_n):
-        subtract_x(points[i], x, stack[i, :n])
+        subtract_x(points[i], x, deviation)
+        for j in range(n):
+            stack[i, j] = deviation[j]
     repaired = factor_form(n, q, root_centre, outer, stack, spare, scratch, factor)
     finite = within(x)
     for i in range(n):
@@ -126,14 +131,14 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
         return DIVERGED
     seen = y
     if ADAPTIVE:
-        seen = work[w_seen:w_spare]
+        seen = vector_at(work, w_seen, m)
         for j in range(n):
             x[j] += arena[a_own + MEANS + j]
         for c in range(m):
             seen[c] = y[c] - arena[a_own + MEANS + n + c]
     predict_measurement(
         h, subtract_x, subtract_y, n, m, x, factor, r, spread, root_centre, outer, u, p, seen, present, points,
-        outputs, stack, work[w_y:w_e], s, arena[a_innovation:a_s], e, scratch,
+        outputs, stack, vector_at(work, w_y, m), s, vector_at(arena, a_innovation, m), e, scratch,
     )  # fmt: skip
     if root_centre < 0.0:  # it went into S as its square
         _add_centre(s, m, -2.0 * root_centre * root_centre, outputs[0])
@@ -143,12 +148,13 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
             repaired = REPAIRED
             if root_centre < 0.0:
                 _add_centre(s, m, max(-rest_weight(n, root_centre, outer), 0.0), outputs[0])
-    status, nis, loglik = commit(stack, present, n, m, e, work[w_gate : w_gate + m], counters, x, factor, scratch)
+    status, nis, loglik = commit(stack, present, n, m, e, vector_at(work, w_gate, m), counters, x, factor, scratch)
     if repaired != OK and status & REPAIRED == 0:
         counters[N_REPAIRED] += 1.0
         status |= REPAIRED
     if ADAPTIVE and status == OK:
-        adapt_noise(arena[a_own:], work[w_settings:w_seen], n, m, nis, stack, e, factor, q, r, spare)
+        own = vector_at(arena, a_own, adaptive_offsets(n, m)[-1])
+        adapt_noise(own, vector_at(work, w_settings, SETTINGS), n, m, nis, stack, e, factor, q, r, spare)
     for i in range(n):
         arena[a_x + i] = x[i]
     for i in range(n * n):

@@ -6,11 +6,15 @@ under its source file and cannot see that its globals differ or that a callee in
 is presented under a file of its own, named after a hash of all it refers to (`fingerprint.py`). The second process
 start is served from the cache, and an edit of the model can never be served the old code. Where something has no
 identity (an object in a closure), or the cache folder cannot be written, the step is compiled in memory.
+
+A step is compiled without numba's counting of references: it then cannot allocate memory, which numba refuses at
+compilation, and a call from Python costs a third less.
 """
 
 import os
 import tempfile
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -20,6 +24,9 @@ from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
 
 from servohil.estimators.fingerprint import NotIdentifiableError, fingerprint
+
+# Entered while a step that is in no cache is compiled, with its name: seconds in which a program may want to say why.
+on_compile: Callable[[str], AbstractContextManager[None]] | None = None
 
 _compiled: dict[str, Any] = {}
 
@@ -65,15 +72,20 @@ def specialise(
     )
     if cache:
         function = _with_globals(kernel, values, str(file))
-    try:
-        compiled = numba.njit(signature, cache=cache, nogil=True, error_model="numpy")(function)
-    except (
-        ImportError
-    ):  # numba's cache entry names a module that cannot be imported: the model was loaded some other way
-        compiled = numba.njit(signature, nogil=True, error_model="numpy")(function)
+    announced = on_compile is not None and not known and not kernel.__name__.startswith("_")  # a private one is small
+    with on_compile(kernel.__module__.rpartition(".")[2]) if announced else nullcontext():
+        compiled = _compile(function, signature, cache)
     if key:
         _compiled[key] = compiled
     return compiled
+
+
+def _compile(function: FunctionType, signature: str, cache: bool) -> Any:
+    options = {"nogil": True, "error_model": "numpy", "_nrt": False}
+    try:
+        return numba.njit(signature, cache=cache, **options)(function)
+    except ImportError:  # numba's cache entry names a module that cannot be imported: the model was loaded otherwise
+        return numba.njit(signature, **options)(function)
 
 
 def _forget_stale(helpers: list[Dispatcher]) -> None:
