@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from servohil.estimators.arena import arena_offsets
 from servohil.estimators.combined_second_order_step import OPTIMAL, combined_offsets, combined_work_offsets, step
-from servohil.estimators.filter import Filter
+from servohil.estimators.filter import Filter, state_vector
 from servohil.estimators.luenberger import check_hidden_decay, split_states
 from servohil.estimators.luenberger_work import SECOND_ORDER, ManifoldError, luenberger_work, manifold_parameter
 from servohil.estimators.model import Model
@@ -32,6 +32,9 @@ class CombinedSecondOrderFilter(Filter):
         convergence, cutoff: of the dynamic filter, see `SecondOrderFilter`.
         window: steps over which the index forgets, >= 1; 1: the last innovation alone, as in P2.
         threshold: > 1; None: exceeded by chance in one step of a million.
+        normal_std: (m,) standard deviation of the innovation in normal operation, to judge it by instead of S: for Q
+            and R that do not describe the noise, as those of P2 eq. 77. P2's test is window = 1 and
+            threshold = 3e-11 m2 / normal_std^2.
 
     Raises:
         ValueError: an argument was refused; the message names it, its value and the rule.
@@ -49,6 +52,7 @@ class CombinedSecondOrderFilter(Filter):
         cutoff: ArrayLike = 0.2,
         window: float = 50.0,
         threshold: float | None = None,
+        normal_std: ArrayLike | None = None,
         chol_Q: ArrayLike | None = None,
         chol_R: ArrayLike | None = None,
         gate: float | None = None,
@@ -65,13 +69,17 @@ class CombinedSecondOrderFilter(Filter):
         self.threshold = _chance(m, window) if threshold is None else threshold
         if not isinstance(self.threshold, int | float) or not isfinite(self.threshold) or self.threshold <= 1.0:
             raise ManifoldError(f"threshold = {threshold!r}: must be a finite number > 1, the index's mean")
+        normal = np.zeros(m) if normal_std is None else state_vector("normal_std", normal_std, m)
+        if normal_std is not None and (normal <= 0.0).any():
+            raise ManifoldError(f"normal_std = {normal.tolist()}: must be > 0")
         split = split_states(model, self._x0, np.linalg.norm(self._factor0, axis=1))
         check_hidden_decay(split.phi, m, gamma[m:] + cut[m:], gamma[m:] * cut[m:])
         places = combined_work_offsets(n, m)
         extra = places[-1] - places[0]
         work = luenberger_work(n, m, self._gate_limits, SECOND_ORDER, split.order, gamma, cut, extra)
         work[places[0] : places[1]] = window, self.threshold, 0.5 * (1.0 + self.threshold)
-        work[places[1] : places[2]] = np.inf
+        work[places[1] : places[2]] = normal
+        work[places[2] : places[3]] = np.inf
         self._build(step, work)
 
     @staticmethod

@@ -5,6 +5,7 @@ an outlier from one. The statistics of the optimal filter's innovation, which ar
 which estimate counts. Everything is computed in scratch and committed at the end.
 """
 
+from math import isnan
 from typing import Any, Final
 
 import numpy as np
@@ -53,15 +54,17 @@ def combined_offsets(n: int, m: int) -> tuple[int, ...]:
 
 @register_jitable
 def combined_work_offsets(n: int, m: int) -> tuple[int, ...]:
-    """Starts, in `work`, of window, threshold and release, no gate (m), counters that nobody reads, the next own part,
-    both innovations (2, m) and their covariances (2, m, m); then the size."""
+    """Starts, in `work`, of window, threshold and release, standard deviations of a normal innovation (m; 0: from S),
+    no gate (m), counters that nobody reads, the next own part, both innovations (2, m) and their covariances
+    (2, m, m); then the size."""
     switch = luenberger_work_offsets(n, m)[-1]
-    no_gate = switch + N_SWITCH
+    normal = switch + N_SWITCH
+    no_gate = normal + m
     counters = no_gate + m
     own = counters + COUNTERS
     innovations = own + combined_offsets(n, m)[-1]
     covariances = innovations + 2 * m
-    return switch, no_gate, counters, own, innovations, covariances, covariances + 2 * m * m
+    return switch, normal, no_gate, counters, own, innovations, covariances, covariances + 2 * m * m
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -76,6 +79,18 @@ def switch_mode(
     elif index < release:
         mode = float(OPTIMAL)
     return index, mode
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def mean_square(innovation: Vector, std: Vector) -> float:
+    """Of the innovation's channels, NaN = missing, in units of std (m,)."""
+    total = 0.0
+    present = 0
+    for c in range(innovation.shape[0]):
+        if not isnan(innovation[c]):
+            total += (innovation[c] / std[c]) ** 2
+            present += 1
+    return total / present
 
 
 def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
@@ -101,7 +116,7 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     (
         _, _, _, w_x, w_factor, w_roots, w_stack, w_stages, _, _, _, _, w_y, w_e, w_scratch, w_kind,
     ) = linear_work_offsets(n, m, 0)  # fmt: skip
-    w_switch, w_no_gate, w_counters, w_own, w_innovations, w_covariances, w_end = combined_work_offsets(n, m)
+    w_switch, w_normal, w_no_gate, w_counters, w_own, w_innovations, w_covariances, w_end = combined_work_offsets(n, m)
     counters = arena[a_counters : a_counters + COUNTERS]
     present = admit(u, y, counters)
     if present < 0:
@@ -150,6 +165,8 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
                 optimal_scores = (nis, loglik)
                 if outcome & REPAIRED == 0:
                     sample = nis / present
+                    if work[w_normal] > 0.0:
+                        sample = mean_square(innovations[side], work[w_normal:w_no_gate])
             if used or not good:
                 index, mode = switch_mode(index, mode, sample, work[w_switch], work[w_switch + 1], work[w_switch + 2])
             if sample == np.inf and (used or not good):  # its numbers mean nothing: it starts again from the other

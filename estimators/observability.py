@@ -135,7 +135,10 @@ def lie_gradients(model: Model, x: ArrayLike, u: ArrayLike) -> NDArray[np.float6
     """
     n = model.n
     start, held = _finite("x", x, n), _finite("u", u, model.n_u)
-    functions = [on_jets(getattr(g, "py_func", g)) for g in (model._compiled["f"], model._compiled["h"])]
+    functions = [on_jets(model.f), on_jets(model.h)]
+    p = np.empty(len(model.p), dtype=object)  # a copy that can hold jets: a model may keep states there for a moment
+    for i, parameter in enumerate(model.p):
+        p[i] = parameter
     orders = 1 if model.integrator == "discrete" else n
     state = []
     for i in range(n):
@@ -147,16 +150,16 @@ def lie_gradients(model: Model, x: ArrayLike, u: ArrayLike) -> NDArray[np.float6
             if model.integrator == "discrete":
                 rows = []
                 for k in range(n):
-                    rows.append([jet.c[0, 1:] for jet in _call(functions[1], state, held, model.p, model.m)])
+                    rows.append([jet.c[0, 1:] for jet in _call(functions[1], state, held, p, model.m)])
                     for _ in range(model.substeps if k < n - 1 else 0):
-                        state = _call(functions[0], state, held, model.p, n)
+                        state = _call(functions[0], state, held, p, n)
                 gradients = np.array(rows)
             else:
                 for k in range(1, n):
-                    slopes = _call(functions[0], state, held, model.p, n)
+                    slopes = _call(functions[0], state, held, p, n)
                     for jet, slope in zip(state, slopes, strict=True):
                         jet.c[k] = slope.c[k - 1] / k
-                seen = _call(functions[1], state, held, model.p, model.m)
+                seen = _call(functions[1], state, held, p, model.m)
                 gradients = np.array([[factorial(k) * jet.c[k, 1:] for jet in seen] for k in range(n)])
     except Exception as error:
         raise ObservabilityError(

@@ -28,7 +28,7 @@ Matrix = NDArray[np.float64]
 SQRT2: Final = sqrt(2.0)
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def second_moments(whitened: Vector, present: int, residuals: Vector) -> None:
     """Fill residuals with z, then with z z' - I by rows of its upper half, every entry of unit variance."""
     row = present
@@ -40,7 +40,7 @@ def second_moments(whitened: Vector, present: int, residuals: Vector) -> None:
             row += 1
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def whiten_error(error: Matrix, m: int, y: Vector, upper: Matrix, present: int, noise: Matrix) -> None:
     """Fill noise (m, present) with the channels present of P4's Delta factor, in units of the filter's own: D S_y'^-1.
 
@@ -63,7 +63,7 @@ def whiten_error(error: Matrix, m: int, y: Vector, upper: Matrix, present: int, 
                 column += 1
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def scale_variance(noise: Matrix, size: int, entry: int, change: float, lower: float, upper: float) -> None:
     """Add `change` to the logarithm of one variance, within bounds; its correlations stay. noise (size, size) is the
     transposed lower factor."""
@@ -77,7 +77,7 @@ def scale_variance(noise: Matrix, size: int, entry: int, change: float, lower: f
             noise[i, entry] *= scale
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def adapt(
     arena: Vector, start: int, settings: Vector, n: int, m: int, of_state: Matrix, of_outputs: Matrix,
     jacobian: Matrix, rows: int, present: int, y: Vector, innovation: Vector, whitened: Vector, s: Matrix,
@@ -115,7 +115,7 @@ def adapt(
     watch_excitation(
         of_state, of_outputs, jacobian, rows, y, settings[s_weights:s_largest], n, m, k, k_model, settings[WINDOW],
         settings[MEMORY], settings[s_threshold:s_weights], settings[LEAST],
-        arena[o_excitation:o_clock].reshape((3, k)), arena[o_clock:o_held], held,
+        matrix_at(arena, o_excitation, 4, k), arena[o_clock:o_held], held,
     )  # fmt: skip
     if rows == 0 or arena[o_adapting] == 0.0:
         return
@@ -127,7 +127,7 @@ def adapt(
     w_change = w_gain + k * most
     w_residuals = w_change + k
     w_rest = w_residuals + most
-    stack = scratch[w_stack:w_seen].reshape((most + k, wide))
+    stack = matrix_at(scratch, w_stack, most + k, wide)
     residuals = scratch[w_residuals:w_rest]
     change = scratch[w_change:w_residuals]
     rest = scratch[w_rest:]
@@ -137,20 +137,20 @@ def adapt(
         second_moments(whitened, present, residuals)
     noise_rows = rows
     if likelihood:
-        noise = scratch[: rows * rows].reshape((rows, rows))
+        noise = matrix_at(scratch, 0, rows, rows)
         for i in range(rows):
             for j in range(rows):
                 noise[i, j] = 1.0 if i == j else 0.0
     else:
         noise_rows = m
-        noise = scratch[: m * present].reshape((m, present))
-        error = arena[o_error:o_excitation].reshape((m, m))
+        noise = matrix_at(scratch, 0, m, present)
+        error = matrix_at(arena, o_error, m, m)
         remember_error(error, m, y, innovation, forgetting, s, stack, rest)
         whiten_error(error, m, y, upper, present, noise)
-    covariance = arena[o_covariance:o_error].reshape((k, k))
+    covariance = matrix_at(arena, o_covariance, k, k)
     forget(covariance, k, forgetting, settings[s_largest:s_end], held)
-    seen = scratch[w_seen : w_seen + k * rows].reshape((k, rows))
-    gain = scratch[w_gain : w_gain + k * rows].reshape((k, rows))
+    seen = matrix_at(scratch, w_seen, k, rows)
+    gain = matrix_at(scratch, w_gain, k, rows)
     if not gauss_newton(
         jacobian, residuals, rows, noise, noise_rows, k, covariance, held, seen, stack, gain, rest, change
     ):

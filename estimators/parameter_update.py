@@ -17,8 +17,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from servohil.estimators.measurement_update import SMALLEST_STD, within
-from servohil.estimators.tangent import triangularise_beside
-from servohil.estimators.triangularise import solve_transposed
+from servohil.estimators.triangularise import solve_transposed, triangularise
+from servohil.estimators.views import vector_at
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -27,7 +27,7 @@ Matrix = NDArray[np.float64]
 LARGEST_RESIDUAL: Final = 5.0
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def forget(covariance: Matrix, k: int, forgetting: float, largest: Vector, held: Vector) -> None:
     """Divide the covariance of the active parameters by the forgetting factor, up to their largest variance.
 
@@ -50,7 +50,7 @@ def forget(covariance: Matrix, k: int, forgetting: float, largest: Vector, held:
                 covariance[i, j] *= scale
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def gauss_newton(
     jacobian: Matrix, residuals: Vector, rows: int, noise: Matrix, noise_rows: int, k: int, covariance: Matrix,
     held: Vector, seen: Matrix, stack: Matrix, gain: Matrix, scratch: Vector, change: Vector,
@@ -73,8 +73,8 @@ def gauss_newton(
         scratch: (>= max(rows, k) + rows,) scratch.
         change: filled.
     """
-    weights = scratch[:rows]
-    reflections = scratch[rows:]
+    weights = vector_at(scratch, 0, rows)
+    spare = vector_at(scratch, rows, 1)  # `triangularise` asks for it and leaves it alone
     for i in range(k):
         for r in range(rows):
             seen[i, r] = 0.0
@@ -85,8 +85,8 @@ def gauss_newton(
     for s in range(noise_rows):
         for r in range(rows):
             stack[s, r] = noise[s, r]
-    triangularise_beside(stack, noise_rows + k, rows, rows, reflections)
-    good = within(residuals[:rows])
+    triangularise(stack, noise_rows + k, rows, spare)
+    good = within(vector_at(residuals, 0, rows))
     for r in range(rows):
         good = good and stack[r, r] > SMALLEST_STD
         weights[r] = residuals[r]
@@ -123,7 +123,7 @@ def gauss_newton(
             stack[k + s, j] = 0.0
             for r in range(rows):
                 stack[k + s, j] += noise[s, r] * gain[j, r]
-    triangularise_beside(stack, k + noise_rows, k, k, reflections)
+    triangularise(stack, k + noise_rows, k, spare)
     for i in range(k):
         good = good and within(stack[i, i:k])
     if good:
@@ -133,10 +133,10 @@ def gauss_newton(
     return good
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def remember_error(
     error: Matrix, m: int, y_missing: Vector, innovation: Vector, forgetting: float, s: Matrix, stack: Matrix,
-    reflections: Vector,
+    spare: Vector,
 ) -> None:  # fmt: skip
     """Move the transposed lower factor of the prediction error's covariance (P4's Delta) towards e e'.
 
@@ -150,7 +150,7 @@ def remember_error(
         forgetting: 0 < factor <= 1.
         s: (m, m) innovation covariance.
         stack: (>= m + 1, >= m) scratch.
-        reflections: (>= m,) scratch.
+        spare: scratch.
     """
     largest = 0.0
     for i in range(m):
@@ -167,7 +167,7 @@ def remember_error(
             for i in range(m):
                 stack[i, j] *= sqrt(forgetting)
         stack[m, j] = sqrt(1.0 - forgetting) * innovation[j] if present else 0.0
-    triangularise_beside(stack, m + 1, m, m, reflections)
+    triangularise(stack, m + 1, m, spare)
     for i in range(m):
         for j in range(m):
             error[i, j] = stack[i, j] if j >= i else 0.0

@@ -12,15 +12,14 @@ from servohil.estimators.triangularise import solve_transposed
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
-Tensor = NDArray[np.float64]
 
 SQRT2: Final = sqrt(2.0)
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def correct_tangents(
     array: Matrix, present: int, n: int, m: int, k: int, y: Vector, whitened: Vector, dy: Matrix, dx: Matrix,
-    dfactor: Tensor, dloglik: Vector, jacobian: Matrix, first_second: int, scratch: Matrix,
+    dfactor: Matrix, dloglik: Vector, jacobian: Matrix, first_second: int, scratch: Matrix,
 ) -> int:  # fmt: skip
     """The correction's tangents, from its factor [S_y', U; 0, S+'] and the derivatives of that, block by block.
 
@@ -34,7 +33,7 @@ def correct_tangents(
         whitened: (>= present,) z.
         dy: (k, m) sensitivity of the predicted measurement.
         dx: (k, n) of the prediction, overwritten by that of the estimate.
-        dfactor: (k, n, n) overwritten likewise.
+        dfactor: (k n, n) overwritten likewise.
         dloglik: (k,) filled.
         jacobian: (>= rows, k) filled with the whitened sensitivity of the prediction, then of the second moments of z.
         first_second: parameters from here on have rows of second moments; k: none.
@@ -75,15 +74,15 @@ def correct_tangents(
         dloglik[j] = total
         for i in range(n):
             for col in range(n):
-                dfactor[j, i, col] = array[present + i, first + present + col] if col >= i else 0.0
+                dfactor[j * n + i, col] = array[present + i, first + present + col] if col >= i else 0.0
     return present + present * (present + 1) // 2 if first_second < k else present
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def differentiate_gain(
-    array: Matrix, present: int, n: int, m: int, k: int, y: Vector, gain: Matrix, dgain: Tensor, scratch: Matrix
+    array: Matrix, present: int, n: int, m: int, k: int, y: Vector, gain: Matrix, dgain: Matrix, scratch: Matrix
 ) -> None:
-    """Fill the gain K = U' S_y^-1 (n, m) and its derivatives (k, n, m), 0 for missing channels; arguments as
+    """Fill the gain K = U' S_y^-1 (n, m) and its derivatives (k n, m), 0 for missing channels; arguments as
     `correct_tangents`."""
     width = present + n
     solution = scratch[0]
@@ -111,7 +110,7 @@ def differentiate_gain(
                 derivative[c] /= array[c, c]
             column = 0
             for c in range(m):
-                dgain[j, col, c] = 0.0
+                dgain[j * n + col, c] = 0.0
                 if not isnan(y[c]):
-                    dgain[j, col, c] = derivative[column]
+                    dgain[j * n + col, c] = derivative[column]
                     column += 1

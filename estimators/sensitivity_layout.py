@@ -18,8 +18,8 @@ K, K_MODEL, K_Q, N_PARAMETERS, N_STATES, N_OUTPUTS, FORGETTING, LIKELIHOOD, WIND
 def own_offsets(n: int, m: int, k: int, k_model: int, start: int) -> tuple[int, ...]:
     """Starts, from `start` on, of model parameters (k_model), dx (k, n), transposed lower factor's derivative
     (k, n, n), dy (k, m), d loglik (k), gain (n, m), d gain (k, n, m), transposed lower factor of the parameters'
-    covariance (k, k), the same of the prediction error's (m, m), squared excitation of the window
-    before, of this, and the largest (3, k), steps in this window, held (k), adapting; then the end."""
+    covariance (k, k), the same of the prediction error's (m, m), sums of the excitation (4, k),
+    steps in this window, held (k), adapting; then the end."""
     dx = start + k_model
     dfactor = dx + k * n
     dy = dfactor + k * n * n
@@ -29,7 +29,7 @@ def own_offsets(n: int, m: int, k: int, k_model: int, start: int) -> tuple[int, 
     covariance = dgain + k * n * m
     error = covariance + k * k
     excitation = error + m * m
-    clock = excitation + 3 * k
+    clock = excitation + 4 * k
     held = clock + 1
     adapting = held + k
     end = adapting + 1

@@ -53,8 +53,8 @@ class SensitivitySRUKF(Filter):
             e e'; only the ratio of Q to R can be told from it, so give part of the entries.
         threshold: P4's, one number or (k,) between 0 and 1: a model parameter is held while its excitation is below
             this part of the largest so far. Excitation is what a change of the parameter by its scale does within a
-            step to state and outputs, in standard deviations of Q and R at the start, as a norm over one to two
-            windows.
+            step to state and outputs, in standard deviations of Q and R at the start, as a norm over the
+            window.
         least_excitation: below this a parameter is held whatever the largest was. The excitation of a variance is the
             norm of its whitened sensitivity (5: the window tells it to within 20 %).
         window: steps.
@@ -88,7 +88,7 @@ class SensitivitySRUKF(Filter):
         criterion: str = "likelihood",
         threshold: ArrayLike = 0.3,
         least_excitation: float = 1.0,
-        window: int = 200,
+        window: int = 500,
         memory: float = 1e5,
         scale: ArrayLike | None = None,
         lower: ArrayLike | None = None,
@@ -222,8 +222,8 @@ class SensitivitySRUKF(Filter):
 
     @property
     def excitation(self) -> Vector:
-        """(k,) norm of the sensitivity over the last one to two windows."""
-        return np.sqrt(self._excitation.reshape(3, -1)[:2].sum(axis=0))
+        """(k,) what the gate compares, see `threshold`."""
+        return np.sqrt(self._excitation.reshape(4, -1)[2])
 
     @property
     def sensitivity_x(self) -> Matrix:

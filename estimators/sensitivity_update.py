@@ -33,7 +33,7 @@ from servohil.estimators.tangent_points import draw_tangents, mean_tangents, sta
 Vector = NDArray[np.float64]
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def begin(arena: Vector, work: Vector, p: Vector, n: int, m: int) -> None:
     """Put the estimated parameters in place, draw the points of the last estimate and their tangents, and the scales
     of the differences of f."""
@@ -66,7 +66,7 @@ def begin(arena: Vector, work: Vector, p: Vector, n: int, m: int) -> None:
     state_scales(x, factor, n, work[t_scales:t_points])
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def predict_tangents(arena: Vector, work: Vector, n: int, m: int) -> None:
     """After `sigma_point_update.predict`, with the residuals of the propagated points and their tangents in scratch:
     tangents of the prediction, tangents of the points drawn again about it, and the scales of the differences of h."""
@@ -120,7 +120,7 @@ def predict_tangents(arena: Vector, work: Vector, n: int, m: int) -> None:
     state_scales(x, work[w_factor:w_points].reshape((n, n)), n, work[t_scales:t_points])
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def measurement_tangents(arena: Vector, work: Vector, y: Vector, present: int, n: int, m: int) -> None:
     """After `sigma_point_update.predict_measurement`, with the tangents of the outputs in scratch: dy, and the factor
     of `correct` with its derivatives, present + n columns each, left in the array."""
@@ -164,7 +164,7 @@ def measurement_tangents(arena: Vector, work: Vector, y: Vector, present: int, n
         differentiate_factor(block, width, width * (1 + j))
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def finish(arena: Vector, work: Vector, y: Vector, present: int, n: int, m: int) -> int:
     """Correct, with tangents; commit; move the parameters. Returns the status."""
     a_x, a_factor, a_q, a_r, a_innovation, a_s, a_nis, a_loglik, a_counters, a_own = arena_offsets(n, m)

@@ -6,62 +6,34 @@ dA in the same sweep, so Q'dA is as accurate as R, and the last pivot is never d
 up(R^-T (dA'A + A'dA) R^-1) R with half the diagonal, squares the condition number.)
 """
 
-from math import sqrt
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from servohil.estimators.measurement_update import SMALLEST_STD
-from servohil.estimators.triangularise import NEGLIGIBLE, UNDERFLOW
+from servohil.estimators.triangularise import INDEX, ZERO, _reflect
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def triangularise_beside(array: Matrix, rows: int, pivots: int, columns: int, scratch: Vector) -> None:
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
+def triangularise_beside(array: Matrix, rows: int, pivots: int, columns: int) -> None:
     """`triangularise` of the first `pivots` columns, whose reflections the columns behind them undergo too.
 
-    The first `pivots` rows become [R, Q'B] of what was [A, B]; R is bit for bit what `triangularise` makes of A.
+    The first `pivots` rows become [R, Q'B] of what was [A, B].
 
     Args:
         array: (>= rows, >= columns), overwritten.
         rows: rows in use, >= pivots.
         pivots: columns of A.
         columns: columns of A and B.
-        scratch: (>= columns,), overwritten.
     """
-    for k in range(pivots):
-        head = array[k, k]
-        tail = 0.0
-        for i in range(k + 1, rows):
-            tail += array[i, k] * array[i, k]
-        if tail <= NEGLIGIBLE * head * head or tail < UNDERFLOW:
-            if head < 0.0:
-                for j in range(k, columns):
-                    array[k, j] = -array[k, j]
-            continue
-        norm = sqrt(head * head + tail)
-        v = head - norm if head <= 0.0 else -tail / (head + norm)
-        scale = 2.0 / (v * v + tail)
-        for j in range(k + 1, columns):
-            scratch[j] = v * array[k, j]
-        for i in range(k + 1, rows):
-            a = array[i, k]
-            for j in range(k + 1, columns):
-                scratch[j] += a * array[i, j]
-        for j in range(k + 1, columns):
-            scratch[j] *= scale
-            array[k, j] -= v * scratch[j]
-        for i in range(k + 1, rows):
-            a = array[i, k]
-            for j in range(k + 1, columns):
-                array[i, j] -= a * scratch[j]
-        array[k, k] = norm
+    for k in range(ZERO, INDEX(pivots)):
+        _reflect(array, k, INDEX(rows), INDEX(columns))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def differentiate_factor(array: Matrix, size: int, first: int) -> None:
     """Turn Q'dA into dR, in place: the (size, size) block of `array` that starts at column `first`.
 
@@ -89,7 +61,7 @@ def differentiate_factor(array: Matrix, size: int, first: int) -> None:
             array[i, first + j] = total
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, forceinline=True, error_model="numpy", _nrt=False)
 def divide_by_factor(upper: Matrix, size: int, block: Matrix, first: int, row: int, out: Vector) -> None:
     """Solve b R = a for one row of an upper block: out[row:size] <- block[row, first + row:] R^-1.
 

@@ -11,42 +11,41 @@ from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
-Tensor = NDArray[np.float64]
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def draw_tangents(dx: Matrix, dfactor: Tensor, spread: float, n: int, k: int, points: Tensor) -> None:
-    """Fill the tangents of the sigma points (2n + 1, k, n), as `sigma_points.draw` draws the points."""
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
+def draw_tangents(dx: Matrix, dfactor: Matrix, spread: float, n: int, k: int, points: Matrix) -> None:
+    """Fill the tangents of the sigma points ((2n + 1) k, n), as `sigma_points.draw` draws the points."""
     for j in range(k):
         for col in range(n):
-            points[0, j, col] = dx[j, col]
+            points[j, col] = dx[j, col]
         for i in range(n):
             for col in range(n):
-                offset = spread * dfactor[j, i, col]
-                points[1 + i, j, col] = dx[j, col] + offset
-                points[1 + n + i, j, col] = dx[j, col] - offset
+                offset = spread * dfactor[j * n + i, col]
+                points[(1 + i) * k + j, col] = dx[j, col] + offset
+                points[(1 + n + i) * k + j, col] = dx[j, col] - offset
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def mean_tangents(tangents: Tensor, count: int, k: int, columns: int, outer: float, out: Matrix) -> None:
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
+def mean_tangents(tangents: Matrix, count: int, k: int, columns: int, outer: float, out: Matrix) -> None:
     """Fill out (k, columns) with the weighted mean over the points, as `sigma_points.mean` takes it."""
     for j in range(k):
         for col in range(columns):
             total = 0.0
             for i in range(1, count):
-                total += tangents[i, j, col] - tangents[0, j, col]
-            out[j, col] = tangents[0, j, col] + outer * total
+                total += tangents[i * k + j, col] - tangents[j, col]
+            out[j, col] = tangents[j, col] + outer * total
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def stack_tangents(
-    tangents: Tensor, means: Matrix, count: int, k: int, columns: int, skip: Vector, root_centre: float, outer: float,
+    tangents: Matrix, means: Matrix, count: int, k: int, columns: int, skip: Vector, root_centre: float, outer: float,
     array: Matrix, first: int, pitch: int,
 ) -> None:  # fmt: skip
     """Fill rows 0 .. count - 1 of every parameter's block with root weight * (tangent - mean).
 
     Args:
-        tangents: (count, k, columns).
+        tangents: (count k, columns), the k of a point one after the other.
         means: (k, columns).
         count: number of points.
         k: number of parameters.
@@ -65,11 +64,11 @@ def stack_tangents(
         for i in range(count):
             root = root_centre if i == 0 else root_outer
             for j in range(k):
-                array[i, first + j * pitch + used] = root * (tangents[i, j, col] - means[j, col])
+                array[i, first + j * pitch + used] = root * (tangents[i * k + j, col] - means[j, col])
         used += 1
 
 
-@njit(nogil=True, cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def stack_noise(
     noise: Matrix, size: int, skip: Vector, place: Vector, since: int, until: int, k: int, array: Matrix, row: int,
     first: int, pitch: int,

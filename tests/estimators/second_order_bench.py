@@ -14,6 +14,9 @@ ACCELERATION_STD, POSITION_STD = 0.05, 1e-6  # process noise per step m/s2, enco
 EHA_Q = np.diag([1e-20, 1e-14, ACCELERATION_STD**2])
 EHA_R = np.array([[POSITION_STD**2]])
 EHA_P0 = np.diag([1e-10, 1e-6, 0.1])
+# as printed in P2 section 6
+PRINTED_Q, PRINTED_R, PRINTED_P0 = np.diag([1e3, 10.0, 1e2]), np.array([[1e-13]]), 10 * np.eye(3)
+PRINTED_LAYERS, PRINTED_THRESHOLD_M2 = [1e-11, 1e-7, 1e-4], 0.3e-10
 HEALTHY = eha.EhaParameters()
 FRICTION = replace(HEALTHY, friction_viscous=3 * HEALTHY.friction_viscous, friction_dry_n=5 * HEALTHY.friction_dry_n)
 LEAKAGE = replace(HEALTHY, leakage=30 * HEALTHY.leakage)

@@ -6,7 +6,20 @@ from linear_bench import EHA_A, EHA_B, actuator
 from reference_filters import kalman
 from scipy.signal import lfilter
 from scipy.stats import chi2
-from second_order_bench import EHA_P0, EHA_Q, EHA_R, FRICTION, HEALTHY, LEAKAGE, POSITION_STD, pump_motion
+from second_order_bench import (
+    EHA_P0,
+    EHA_Q,
+    EHA_R,
+    FRICTION,
+    HEALTHY,
+    LEAKAGE,
+    POSITION_STD,
+    PRINTED_P0,
+    PRINTED_Q,
+    PRINTED_R,
+    PRINTED_THRESHOLD_M2,
+    pump_motion,
+)
 
 from servohil.estimators.combined_second_order import CombinedSecondOrderFilter
 from servohil.estimators.health import Status
@@ -98,6 +111,41 @@ def test_window_of_one_judges_every_innovation_by_itself():
     samples[5] += 20 * POSITION_STD
     modes, indices, _ = followed(filter_, inputs[300:320], samples)
     assert modes[5] and indices[5] > 25 and not modes[:5].any() and not modes[15:].any()
+
+
+def test_printed_settings_switch_as_printed():
+    """P2 eq. 77, 78 on e^2 in m2: Q and R that say nothing about the noise, so the index goes without S."""
+    printed = CombinedSecondOrderFilter(
+        actuator(), np.zeros(3), PRINTED_P0, PRINTED_Q, PRINTED_R, convergence=0.1, cutoff=0.2, window=1,
+        threshold=PRINTED_THRESHOLD_M2 / 1e-12, normal_std=[1e-6],
+    )  # fmt: skip
+    for fault, least in (("friction", 0.6), ("leakage", 0.9)):
+        inputs, samples, _ = motion(fault)
+        printed.reset()
+        modes, indices, _ = followed(printed, inputs, samples)
+        assert modes[1050:2500].mean() > least
+        assert modes[10:1000].mean() < 0.01 and modes[2600:].mean() < 0.01
+        assert indices[500] == pytest.approx((printed_innovation(inputs, samples, 500) / 1e-6) ** 2, rel=1e-4)
+    assert printed.health.repaired == 0
+
+
+def printed_innovation(inputs, samples, step):
+    x, p = np.zeros(3), PRINTED_P0
+    for u, y in zip(inputs[: step + 1], samples[: step + 1], strict=True):
+        e = y[0] - (EHA_A @ x + EHA_B * u[0])[0]
+        x, p, _, _ = kalman(EHA_A, EHA_B, C, PRINTED_Q, PRINTED_R, x, p, u, y)
+    return e
+
+
+@pytest.mark.nightly
+def test_switching_over_many_seeds():
+    filter_ = combined()
+    for seed in range(30):
+        for plant in (FRICTION, LEAKAGE):
+            inputs, samples, _ = pump_motion(4000, seed, ((0, HEALTHY), (1000, plant), (2500, HEALTHY)))
+            filter_.reset()
+            modes, _, _ = followed(filter_, inputs, samples)
+            assert not modes[:1000].any() and modes[1050:2500].mean() > 0.99 and not modes[3200:].any(), (seed, plant)
 
 
 @pytest.mark.parametrize("gate", [None, 0.9999999])
@@ -205,6 +253,8 @@ def test_run_step_and_a_copied_arena_agree_bit_for_bit():
         ({"threshold": "high"}, "threshold = 'high'"),
         ({"convergence": 1.0}, "convergence = 1.0"),
         ({"cutoff": 0.0}, "cutoff = 0.0"),
+        ({"normal_std": [0.0]}, r"normal_std = \[0.0\]: must be > 0"),
+        ({"normal_std": [1.0, 1.0]}, r"normal_std has shape \(2,\)"),
     ],
 )
 def test_construction_errors_name_argument_value_and_rule(change, words):

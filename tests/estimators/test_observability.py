@@ -172,6 +172,22 @@ def test_an_output_that_shows_nothing_has_rank_0():
     assert result.rank == 0 and np.isinf(result.state_std).all() and math.isinf(result.condition)
 
 
+def keeps_a_state_in_p(x, u, p, dx):
+    p[0] = 3.0 * x[1]
+    dx[0] = p[0] * x[0]
+    dx[1] = 0.0
+
+
+def test_a_model_may_write_states_into_its_parameters():
+    """As the one does that has parameters in its state: is the rate of a growth observable?"""
+    joint = copy.copy(PAIR)
+    joint.f, joint.p = keeps_a_state_in_p, np.array([7.0])
+    np.testing.assert_allclose(lie_gradients(joint, [2.0, 0.5], [0.0])[:, 0], [[1.0, 0.0], [1.5, 6.0]])
+    assert lie_observability(joint, [2.0, 0.5], [0.0], UNIT).rank == 2
+    assert lie_observability(joint, [0.0, 0.5], [0.0], UNIT).rank == 1  # nothing grows
+    assert joint.p[0] == 7.0
+
+
 def test_where_there_is_no_derivative_it_says_so():
     with pytest.raises(ObservabilityError, match=r"differentiated at x = \[1. 0.\]: ZeroDivisionError"):
         lie_gradients(PAIR, [1.0, 0.0], [0.0])

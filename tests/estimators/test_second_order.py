@@ -110,6 +110,27 @@ def test_hidden_error_that_shows_follows_the_same_recursion():
     assert abs(errors[1, 1]) > 0.1 and abs(errors[-1, 1]) < 0.01
 
 
+@pytest.mark.parametrize("disturbance", ["constant", "switching"])
+def test_errors_of_hidden_states_keep_the_bound_for_bounded_model_error_and_noise(disturbance):
+    """Lemma 1 on the actuator: any error of the acceleration's equation below 2 m/s2 per step, encoder within 1 um."""
+    gamma, cutoff, model_error, noise, period = 0.1, 0.2, 2.0, 1e-6, 1e-3
+    decay, coupling = EHA_A[2, 2], -EHA_A[2, 1]
+    difference = 2 * noise / period
+    acceleration = (model_error + coupling * difference) / (1 - decay)
+    direct = abs(1 - gamma - cutoff) + gamma * cutoff
+    velocity = (period * acceleration + direct * difference) / ((1 - gamma) * (1 - cutoff))
+    filter_ = actuator_filter(convergence=gamma, cutoff=cutoff)
+    rng = np.random.default_rng(0)
+    x, worst = np.zeros(3), np.zeros(2)
+    for k in range(2000):
+        u = np.array([6e-5 * np.sin(0.05 * k)])
+        push = model_error * (1.0 if disturbance == "constant" else np.sign(np.sin(k * k / 4000)))
+        x = EHA_A @ x + EHA_B * u[0] + np.array([0.0, 0.0, push])
+        filter_.step(u, x[:1] + noise * rng.choice([-1.0, 1.0]))
+        worst = np.maximum(worst, np.abs(x - filter_.x)[1:])
+    assert (worst <= [velocity, acceleration]).all() and (worst > 0.7 * np.array([velocity, acceleration])).all()
+
+
 def test_after_the_transient_the_outputs_are_the_measurement():
     inputs, samples, _ = pump_motion(500, 2, ((0, FRICTION),))
     trajectory = actuator_filter().run(inputs, samples)

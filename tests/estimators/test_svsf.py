@@ -12,6 +12,11 @@ from second_order_bench import (
     FRICTION,
     HEALTHY,
     LEAKAGE,
+    POSITION_STD,
+    PRINTED_LAYERS,
+    PRINTED_P0,
+    PRINTED_Q,
+    PRINTED_R,
     PlainSVSF,
     four_states,
     linear_motion,
@@ -149,6 +154,18 @@ def test_position_of_the_faulty_actuator_stays_in_the_layer(plant):
     assert (error.max(axis=0)[:2] < 0.7 * worst).all(), (error.max(axis=0), worst)
 
 
+def test_printed_position_errors_are_output_errors():
+    """P2 table 2: 5.78e-21 m rms for the SVSF. That is z - h(x); the position's own error is the encoder's."""
+    inputs, samples, states = pump_motion(1000, 0, ((0, FRICTION),))
+    svsf = SVSF(
+        actuator(), np.zeros(3), PRINTED_P0, PRINTED_Q, PRINTED_R, convergence=0.5, boundary_layer=PRINTED_LAYERS
+    )
+    trajectory = svsf.run(inputs, samples)
+    assert (trajectory.status == Status.OK).all()
+    assert np.sqrt(np.mean((samples - trajectory.x[:, :1])[100:] ** 2)) < 1e-19
+    assert np.sqrt(np.mean((states - trajectory.x)[100:, 0] ** 2)) == pytest.approx(POSITION_STD, rel=0.1)
+
+
 def test_a_missing_channel_is_not_corrected_and_the_other_is():
     a, b, _, q, r, x0, p0 = two_states()
     svsf = SVSF(as_model(a, b, np.eye(2)), x0, p0, q, r, boundary_layer=[0.5, 0.5])
@@ -162,6 +179,20 @@ def test_a_missing_channel_is_not_corrected_and_the_other_is():
     predicted = a @ svsf.x
     svsf.step(u, np.array([predicted[0] + 0.6, NAN]))  # outside the layer, forgotten: all of the innovation is taken
     assert svsf.x[0] == pytest.approx(predicted[0] + 0.6, abs=1e-12)
+
+
+def test_outputs_that_come_to_repeat_each_other_are_left_out():
+    system = two_states()
+    model = model_of(system)
+    svsf = SVSF(model, *system[5:], *system[3:5], boundary_layer=[0.5, 0.5])
+    u, y, matrix = np.zeros(1), np.array([0.5, 0.5]), model.p[6:].copy()
+    model.p[6:] = [1.0, 2.0, 2.0, 4.0]
+    predicted = system[0] @ svsf.x
+    assert svsf.step(u, y) == Status.REPAIRED
+    np.testing.assert_allclose(svsf.x, predicted, atol=1e-12)
+    assert np.isnan(svsf.output_error).all()
+    model.p[6:] = matrix
+    assert svsf.step(u, y) == Status.OK
 
 
 def test_a_gap_does_not_throw_the_velocity():
