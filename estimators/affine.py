@@ -58,8 +58,9 @@ def _matrix(
         point[k] = unit[k]
         subtract(call(point, first), call(-point, first), difference)
         slopes[:, k] = 0.5 * difference / unit[k]
-    rng = np.random.default_rng(0)
-    directions = [*np.eye(n), np.ones(n), *rng.uniform(-1.0, 1.0, size=(3, n))]
+    # Axes, the diagonal, and three directions that mix all states unevenly.
+    mixed = [np.cos(np.arange(1.0, n + 1.0) * turn) for turn in (1.0, 2.0, 3.0)]
+    directions = [*np.eye(n), np.ones(n), *mixed]
     for u, offset in offsets:
         for spread in SPREADS:
             for direction in directions:

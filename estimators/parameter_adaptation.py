@@ -21,6 +21,7 @@ from servohil.estimators.sensitivity_layout import (
     own_offsets,
     setting_offsets,
 )
+from servohil.estimators.views import matrix_at, vector_at
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -107,15 +108,15 @@ def adapt(
     k_q = int(settings[K_Q])
     forgetting = settings[FORGETTING]
     likelihood = settings[LIKELIHOOD] != 0.0
-    _, s_place, s_rate, s_lower, s_upper, s_threshold, s_weights, s_largest, s_end = setting_offsets(n, m, k, 0)
+    _, s_place, s_rate, s_lower, s_upper, s_threshold, s_weights, s_largest, _ = setting_offsets(n, m, k, 0)
     o_theta, _, _, _, _, _, _, o_covariance, o_error, o_excitation, o_clock, o_held, o_adapting, _ = own_offsets(
         n, m, k, k_model, start
     )
-    held = arena[o_held:o_adapting]
+    held = vector_at(arena, o_held, k)
     watch_excitation(
-        of_state, of_outputs, jacobian, rows, y, settings[s_weights:s_largest], n, m, k, k_model, settings[WINDOW],
-        settings[MEMORY], settings[s_threshold:s_weights], settings[LEAST],
-        matrix_at(arena, o_excitation, 4, k), arena[o_clock:o_held], held,
+        of_state, of_outputs, jacobian, rows, y, vector_at(settings, s_weights, n + m), n, m, k, k_model, settings[WINDOW],
+        settings[MEMORY], vector_at(settings, s_threshold, k), settings[LEAST],
+        matrix_at(arena, o_excitation, 4, k), vector_at(arena, o_clock, 1), held,
     )  # fmt: skip
     if rows == 0 or arena[o_adapting] == 0.0:
         return
@@ -128,9 +129,9 @@ def adapt(
     w_residuals = w_change + k
     w_rest = w_residuals + most
     stack = matrix_at(scratch, w_stack, most + k, wide)
-    residuals = scratch[w_residuals:w_rest]
-    change = scratch[w_change:w_residuals]
-    rest = scratch[w_rest:]
+    residuals = vector_at(scratch, w_residuals, most)
+    change = vector_at(scratch, w_change, k)
+    rest = vector_at(scratch, w_rest, most + wide)
     for c in range(present):
         residuals[c] = whitened[c]
     if rows > present:
@@ -148,7 +149,7 @@ def adapt(
         remember_error(error, m, y, innovation, forgetting, s, stack, rest)
         whiten_error(error, m, y, upper, present, noise)
     covariance = matrix_at(arena, o_covariance, k, k)
-    forget(covariance, k, forgetting, settings[s_largest:s_end], held)
+    forget(covariance, k, forgetting, vector_at(settings, s_largest, k), held)
     seen = matrix_at(scratch, w_seen, k, rows)
     gain = matrix_at(scratch, w_gain, k, rows)
     if not gauss_newton(

@@ -10,8 +10,8 @@ from typing import Final
 from numba.extending import register_jitable
 
 # Settings, at the start of the filter's part of `work`.
-SETTINGS: Final = 11
-K, K_MODEL, K_Q, N_PARAMETERS, N_STATES, N_OUTPUTS, FORGETTING, LIKELIHOOD, WINDOW, MEMORY, LEAST = range(SETTINGS)
+SETTINGS: Final = 9
+K, K_MODEL, K_Q, N_PARAMETERS, FORGETTING, LIKELIHOOD, WINDOW, MEMORY, LEAST = range(SETTINGS)
 
 
 @register_jitable
@@ -55,7 +55,7 @@ def setting_offsets(n: int, m: int, k: int, start: int) -> tuple[int, ...]:
 def scratch_offsets(n: int, m: int, k: int, n_p: int, start: int) -> tuple[int, ...]:
     """Starts, from `start` on, of the parameters in use (n_p), scales (n), points (2n + 2, n), their residuals
     (2n + 1, n), tangents of points (2n + 2, k, n) and of outputs (2n + 2, k, m), difference scratch
-    (2k + 6, max(n, m)), array (2n + 1 + max(n, m), (n + m) (1 + k)), its scratch ((n + m) (1 + k)), dx (k, n),
+    (2k + 6, max(n, m)), array (2n + 1 + max(n, m), (n + m) (1 + k)), dx (k, n),
     dfactor (k, n, n), Jacobian (m + m (m + 1) / 2, k), the parameters' update; then the end.
 
     The point behind the sigma points is the estimate itself, whose tangents start from zero in every step: the
@@ -69,16 +69,12 @@ def scratch_offsets(n: int, m: int, k: int, n_p: int, start: int) -> tuple[int, 
     outputs = tangents + (points_n + 1) * k * n
     differences = outputs + (points_n + 1) * k * m
     array = differences + (2 * k + 6) * max(n, m)
-    reflections = array + (points_n + max(n, m)) * columns
-    dx = reflections + columns
+    dx = array + (points_n + max(n, m)) * columns
     dfactor = dx + k * n
     jacobian = dfactor + k * n * n
     update = jacobian + (m + m * (m + 1) // 2) * k
     end = update + update_words(m, k)
-    return (
-        start, scales, points, residuals, tangents, outputs, differences, array, reflections, dx, dfactor, jacobian,
-        update, end,
-    )  # fmt: skip
+    return start, scales, points, residuals, tangents, outputs, differences, array, dx, dfactor, jacobian, update, end
 
 
 @register_jitable

@@ -142,7 +142,7 @@ class SensitivitySRUKF(Filter):
             raise FilterError(f"lower = {low}, upper = {high}: must be finite for the logarithm of a variance")
         work = sigma_point_work(n, m, _weights(transform, n, alpha, beta, kappa), self._gate_limits)
         settings = np.concatenate([
-            [k, k_model, k_q, n_p, n, m],
+            [k, k_model, k_q, n_p],
             [forgetting, float(criterion == "likelihood"), window, memory, least_excitation],
             self._index, self._q_entries, self._r_entries, self._rates, low, high,
             positive("threshold", threshold, k), self._excitation_weights(),

@@ -62,9 +62,11 @@ def follow(parent: int | None) -> None:
 
 
 def load(path: Path) -> "Rig":
-    """The rig at `path`; raises ConfigError."""
+    """The rig at `path`; raises ConfigError. What is built from it may have to be compiled."""
+    from servohil.hil.compile_message import say_when_compiling
     from servohil.hil.config import load_rig
 
+    say_when_compiling()
     return load_rig(path)
 
 
@@ -201,8 +203,10 @@ def bench(
 ) -> None:
     """Close the loop on a simulated cylinder, inject a leak, and report."""
     with one_clear_line():
+        from servohil.hil.compile_message import say_when_compiling
         from servohil.sim_bench.bench_command import bench_command
 
+        say_when_compiling()
         code = bench_command(rig, duration, rate, (leak_at, leak, leak_kind), lockstep, seed, json_path, protocol_only)
     sys.exit(code)
 
@@ -212,8 +216,10 @@ def bench(
 def replay(recording: Path) -> None:
     """Feed RECORDING through the controller again; every recorded output must come out bit for bit."""
     with one_clear_line():
+        from servohil.hil.compile_message import say_when_compiling
         from servohil.hil.replay_recording import replay_recording
 
+        say_when_compiling()
         result = replay_recording(recording, click.echo)
     sys.exit(0 if result.identical else EXIT_REFUSED)
 
@@ -286,6 +292,18 @@ def benchmark_adaptation(
         if figure is not None:
             draw_cold_start(figure)
         holds = run_benchmark("adaptation", load(rig), lambda tick: adaptation_claims(quick, tick), json_path, page)
+    sys.exit(0 if holds else EXIT_REFUSED)
+
+
+@benchmark.command("estimators")
+@benchmark_options
+def benchmark_estimators(rig: Path, quick: bool, json_path: Path | None, page: Path | None) -> None:
+    """What one step of a filter costs, beside filterpy and hand-written C."""
+    with one_clear_line():
+        from servohil.sim_bench.benchmarks.command import run_benchmark
+        from servohil.sim_bench.benchmarks.estimators import estimators_claims
+
+        holds = run_benchmark("estimators", load(rig), lambda tick: estimators_claims(quick, tick), json_path, page)
     sys.exit(0 if holds else EXIT_REFUSED)
 
 

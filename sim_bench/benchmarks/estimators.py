@@ -32,7 +32,19 @@ FILTERPY_STEPS: Final = 200
 NS_PER_US: Final = 1e3
 SECOND_STARTS: Final = 3
 DIFFERENCE_LIMIT: Final = "<= 1e-09"
-LIMITS: Final = {"n4.compiled": "<= 3", "n4.python": "<= 5", "n11.compiled": "<= 10"}
+LIMITS: Final = {
+    "estimators.n4.compiled": "<= 3",
+    "estimators.n4.python": "<= 5",
+    "estimators.n4.compiled-to-c": "<= 2",
+    "estimators.n4.filterpy-to-python": ">= 130",
+    "estimators.n11.compiled": "<= 10",
+}
+RATIOS: Final = (
+    ("compiled", "c"),
+    ("filterpy", "python"),
+    ("filterpy", "compiled"),
+    ("filterpy-jit", "python"),
+)
 
 
 class Contestant(Protocol):
@@ -119,7 +131,6 @@ def allocations(case: Case, steps: int) -> int:
 
 def estimators_claims(quick: bool, tick: Tick) -> list[Claim]:
     """All figures of the benchmark."""
-    turns = 15 if quick else 80
     command = f"hil benchmark estimators{' --quick' if quick else ''}"
     count = 0
 
@@ -128,31 +139,78 @@ def estimators_claims(quick: bool, tick: Tick) -> list[Claim]:
         count += 1
         tick(count)
 
-    with tempfile.TemporaryDirectory() as folder:
+    four = four_states(STEPS)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
         claims = []
-        for case in (four_states(STEPS), eleven_states(STEPS)):
-            claims += _case_claims(case, turns, command, Path(folder), count_up)
-        claims.append(_allocation_claim(four_states(STEPS), command))
-        claims += _start_claims(command, Path(folder) / "cache", count_up)
+        for case, title in ((four, "n = 4, m = 3, RK4"), (eleven_states(STEPS), "n = 11, m = 3, RK4")):
+            claims += _case_claims(case, f"{command}; {title}", 15 if quick else 80, folder, count_up)
+        claims += _start_claims(command, folder / "cache", count_up)
+    return [*claims, _allocation_claim(four, command)]
+
+
+def _case_claims(case: Case, command: str, turns: int, folder: Path, tick: Callable[[], None]) -> list[Claim]:
+    size = f"estimators.n{case.model.n}"
+    candidates = _candidates(case, folder)
+    contestants: dict[str, tuple[Contestant, int]] = {}
+    absent: dict[str, str] = {}
+    for name, (make, steps) in candidates.items():
+        try:
+            contestants[name] = make(), steps
+        except PeerUnavailable as error:
+            absent[name] = f"not run: {error}"
+    times = step_times(contestants, turns, tick)
+    claims = []
+    for name, (_, steps) in candidates.items():
+        value = float(np.median(times[name])) if name in times else None
+        how = absent.get(name, f"{command}; one step; median of {turns} turns of {steps} steps")
+        limit = None if name in absent else LIMITS.get(f"{size}.{name}")
+        claims.append(Claim.judge(f"{size}.{name}", value, "us", limit, how))
+    for name, other in RATIOS:
+        if name in times and other in times:
+            ratio, limit = float(np.median(times[name] / times[other])), LIMITS.get(f"{size}.{name}-to-{other}")
+            how = f"{command}; median of {turns} ratios within a turn"
+            claims.append(Claim.judge(f"{size}.{name}-to-{other}", ratio, "1", limit, how))
+    reference = contestants["compiled"][0].estimates
+    for name, (contestant, steps) in contestants.items():
+        if name != "compiled":
+            found = contestant.estimates
+            gap = float(np.abs(found - reference[steps - len(found) : steps]).max())
+            how = f"{command}; largest difference of an estimate to ours in compiled code, m, m/s, MPa"
+            claims.append(Claim.judge(f"{size}.{name}.difference", gap, "", DIFFERENCE_LIMIT, how))
     return claims
 
 
-def _case_claims(case: Case, turns: int, command: str, folder: Path, tick: Callable[[], None]) -> list[Claim]:
-    n = case.model.n
-    contestants: dict[str, tuple[Contestant, int]] = {
-        f"n{n}.compiled": (InCompiledCode(case), STEPS),
-        f"n{n}.python": (FromPython(case), STEPS),
+def _candidates(case: Case, folder: Path) -> dict[str, tuple[Callable[[], Contestant], int]]:
+    """How to make each contestant, and how many steps it runs."""
+    found: dict[str, tuple[Callable[[], Contestant], int]] = {
+        "compiled": (lambda: InCompiledCode(case), STEPS),
+        "python": (lambda: FromPython(case), STEPS),
+        "c": (lambda: CPeer(case, folder), STEPS),
     }
-    absent: dict[str, str] = {}
-    peers: dict[str, tuple[Callable[[], Contestant], int]] = {f"n{n}.c": (lambda: CPeer(case, folder), STEPS)}
-    if n == 4:
-        for name, compiled in (("filterpy", False), ("filterpy-compiled-model", True)):
-            make = lambda compiled=compiled: FilterpyPeer(case, FILTERPY_STEPS, compiled=compiled)  # noqa: E731
-            peers[f"n{n}.{name}"] = (make, FILTERPY_STEPS)
-    for name, (make, steps) in peers.items():
-        try:
-            contestants[name] = (make(), steps)
-        except PeerUnavailable as error:
-            absent[name] = str(error)
-    times = step_times(contestants, turns, tick)
-    ...
+    if case.model.n == 4:
+        found["filterpy"] = (lambda: FilterpyPeer(case, FILTERPY_STEPS, compiled=False), FILTERPY_STEPS)
+        found["filterpy-jit"] = (lambda: FilterpyPeer(case, FILTERPY_STEPS, compiled=True), FILTERPY_STEPS)
+    return found
+
+
+def _start_claims(command: str, cache: Path, tick: Callable[[], None]) -> list[Claim]:
+    """The first start compiles everything; later ones find it on disk."""
+    first = start_time(cache)
+    tick()
+    again = [start_time(cache) for _ in range(SECOND_STARTS)]
+    tick()
+    seconds, clock = (float(min(column)) for column in zip(*again, strict=True))
+    how = f"{command}; from the start of the process with all imports to the first estimate, n = 4"
+    best = f"{how}; best of {SECOND_STARTS}"
+    return [
+        Claim.judge("estimators.start.first", first[0], "s", None, f"{how}, nothing in the cache; processor time"),
+        Claim.judge("estimators.start.second", seconds, "s", "<= 1.5", f"{best}; processor time"),
+        Claim.judge("estimators.start.second.clock", clock, "s", None, f"{best}; by the clock"),
+    ]
+
+
+def _allocation_claim(case: Case, command: str) -> Claim:
+    grown = allocations(case, STEPS) - allocations(case, STEPS // 2)
+    how = f"{command}; blocks of memory taken by {STEPS} steps more than by {STEPS // 2}, run in compiled code"
+    return Claim.judge("estimators.allocations", grown, "1", "== 0", how)
