@@ -114,8 +114,8 @@ def adapt(
     )
     held = vector_at(arena, o_held, k)
     watch_excitation(
-        of_state, of_outputs, jacobian, rows, y, vector_at(settings, s_weights, n + m), n, m, k, k_model, settings[WINDOW],
-        settings[MEMORY], vector_at(settings, s_threshold, k), settings[LEAST],
+        of_state, of_outputs, jacobian, rows, y, vector_at(settings, s_weights, n + m), n, m, k, k_model,
+        settings[WINDOW], settings[MEMORY], vector_at(settings, s_threshold, k), settings[LEAST],
         matrix_at(arena, o_excitation, 4, k), vector_at(arena, o_clock, 1), held,
     )  # fmt: skip
     if rows == 0 or arena[o_adapting] == 0.0:

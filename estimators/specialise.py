@@ -72,8 +72,8 @@ def specialise(
     )
     if cache:
         function = _with_globals(kernel, values, str(file))
-    announced = on_compile is not None and not known and not kernel.__name__.startswith("_")  # a private one is small
-    with on_compile(kernel.__module__.rpartition(".")[2]) if announced else nullcontext():
+    announce = None if known or kernel.__name__.startswith("_") else on_compile  # a private one is small
+    with announce(kernel.__module__.rpartition(".")[2]) if announce is not None else nullcontext():
         compiled = _compile(function, signature, cache)
     if key:
         _compiled[key] = compiled

@@ -37,8 +37,8 @@ def _reflect(array: Matrix, k: np.uint64, rows: np.uint64, columns: np.uint64) -
         tail += array[i, k] * array[i, k]
     if tail <= NEGLIGIBLE * head * head or tail < UNDERFLOW:
         if head < 0.0:
-            for j in range(k, columns):
-                array[k, j] = -array[k, j]
+            for right in range(k, columns):
+                array[k, right] = -array[k, right]
         return
     norm = sqrt(head * head + tail)
     v = head - norm if head <= 0.0 else -tail / (head + norm)

@@ -33,12 +33,13 @@ THIRD_PARTY = {
     "hil": HIL_PACKAGES,
     "sim_bench": HIL_PACKAGES | {"scipy"},
 }
-# The only files that know these two packages.
+# The only files that know these packages.
 FILE_MAY_IMPORT = {
     "drivers/dbc.py": {"cantools"},
     "drivers/local_bus.py": {"can"},
     "drivers/open_port.py": {"can"},
     "drivers/python_can_port.py": {"can"},
+    "sim_bench/benchmarks/filterpy_peer.py": {"filterpy"},  # a peer where installed, else the row says so
 }
 # Inside a function only: `hil run` must work on a rig PC without the simulator.
 COMMANDS_THAT_SIMULATE = {"hil/cli.py"}
