@@ -19,7 +19,7 @@ Matrix = NDArray[np.float64]
 LEAST_REST: Final = 1e-14
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def cholesky(matrix: Matrix, size: int, upper: Matrix) -> bool:
     """Fill upper with R, R'R = matrix. False: not positive definite to rounding, or not finite.
 
@@ -44,7 +44,7 @@ def cholesky(matrix: Matrix, size: int, upper: Matrix) -> bool:
     return True
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def update(upper: Matrix, size: int, vector: Vector) -> None:
     """R'R <- R'R + v v' in place, by rotations; cannot fail. The vector (>= size,) is overwritten."""
     for k in range(size):
@@ -63,7 +63,7 @@ def update(upper: Matrix, size: int, vector: Vector) -> None:
             vector[j] = cosine * vector[j] - sine * old
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def downdate(upper: Matrix, size: int, vector: Vector) -> bool:
     """R'R <- R'R - v v' in place, by hyperbolic rotations. False: the result is not positive definite to rounding.
 

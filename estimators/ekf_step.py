@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from servohil.estimators.adaptive_layout import HOLD
 from servohil.estimators.arena import COUNTERS, N_DIVERGED, arena_offsets
 from servohil.estimators.health import DIVERGED, NOT_FINITE_INPUT, OK, WRONG_SIZE
-from servohil.estimators.linear_update import commit, predict_factor, stack_correction
+from servohil.estimators.linear_update import commit, correct_linear, predict_factor
 from servohil.estimators.linear_work import linear_work_offsets
 from servohil.estimators.linearise import output_jacobian, state_jacobian
-from servohil.estimators.measurement_update import admit, correct, within
+from servohil.estimators.measurement_update import admit, within
 from servohil.estimators.sage_husa import sage_husa
+from servohil.estimators.views import matrix_at, vector_at
 
 Vector = NDArray[np.float64]
 
@@ -43,36 +44,37 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
         u: (n_u,) input over the period.
         y: (m,) measurement at its end.
     """
-    n = int(N)  # not a literal type: the atoms are compiled once for all sizes, and see the number when inlined
+    n = int(N)  # not a literal type: what is shared is compiled once for all sizes
     m = int(M)
     if u.shape[0] != N_U or y.shape[0] != m:
         return WRONG_SIZE
-    a_x, a_factor, a_q, a_r, a_innovation, a_s, a_nis, _, a_counters, a_own = arena_offsets(n, m)
+    a_x, a_factor, a_q, a_r, a_innovation, a_s, _, _, a_counters, a_own = arena_offsets(n, m)
     (
         w_gate, w_state, w_output, w_x, w_factor, w_roots, w_stack, w_stages, w_steps, w_trial, w_outputs,
         w_difference, w_y, w_e, w_scratch, w_end,
     ) = linear_work_offsets(n, m, 0)  # fmt: skip
-    counters = arena[a_counters : a_counters + COUNTERS]
+    counters = vector_at(arena, a_counters, COUNTERS)
     present = admit(u, y, counters)
     if present < 0:
         return NOT_FINITE_INPUT
-    q = arena[a_q:a_r].reshape((n, n))
-    r = arena[a_r:a_innovation].reshape((m, m))
-    innovation = arena[a_innovation:a_s]
-    x = work[w_x:w_factor]
-    factor = work[w_factor:w_roots].reshape((n, n))
-    stack = work[w_stack:w_stages].reshape((n + max(n, m), n + m))
-    stages = work[w_stages:w_steps].reshape((5, n))
-    steps = work[w_steps:w_trial]
-    trial = work[w_trial:w_outputs]
-    difference = work[w_difference:w_y]
-    predicted_y = work[w_y:w_e]
-    e = work[w_e:w_scratch]
-    scratch = work[w_scratch:w_end]
+    last_x = vector_at(arena, a_x, n)
+    last_factor = matrix_at(arena, a_factor, n, n)
+    q = matrix_at(arena, a_q, n, n)
+    r = matrix_at(arena, a_r, m, m)
+    innovation = vector_at(arena, a_innovation, m)
+    x = vector_at(work, w_x, n)
+    factor = matrix_at(work, w_factor, n, n)
+    jacobian = matrix_at(work, w_state, n, n)
+    slopes = matrix_at(work, w_output, n, m)
+    stack = matrix_at(work, w_stack, n + max(n, m), n + m)
+    stages = matrix_at(work, w_stages, 5, n)
+    steps = vector_at(work, w_steps, n)
+    trial = vector_at(work, w_trial, n)
+    difference = vector_at(work, w_difference, n + m)
+    predicted_y = vector_at(work, w_y, m)
+    e = vector_at(work, w_e, m)
+    scratch = vector_at(work, w_scratch, n + m)
 
-    last_x = arena[a_x:a_factor]
-    last_factor = arena[a_factor:a_q].reshape((n, n))
-    jacobian = work[w_state:w_output].reshape((n, n))
     for i in range(n):
         x[i] = last_x[i]
     integrate(f, n, DT, SUBSTEPS, x, u, p, stages)
@@ -84,21 +86,20 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     if not (good and within(x)):
         counters[N_DIVERGED] += 1.0
         return DIVERGED
-    slopes = work[w_output:w_x].reshape((n, m))
     h(x, u, p, predicted_y)
     output_jacobian(
         h, subtract_x, subtract_y, n, m, x, predicted_y, factor, u, p, slopes, steps, trial,
-        work[w_outputs:w_difference], difference,
+        vector_at(work, w_outputs, m), difference,
     )  # fmt: skip
     subtract_y(y, predicted_y, innovation)
-    stack_correction(
-        factor, slopes, r, m, n, m, y, innovation, present, work[w_roots:w_stack].reshape((n, m)), stack,
-        arena[a_s:a_nis].reshape((m, m)), e,
-    )  # fmt: skip
-    status, nis, loglik = correct(
-        stack, n + m, present, n, m, e, work[w_gate:w_state], counters, x, factor, scratch
+    status, nis, loglik = correct_linear(
+        factor, slopes, r, m, n, m, y, innovation, present, matrix_at(work, w_roots, n, m), stack,
+        matrix_at(arena, a_s, m, m), e, vector_at(work, w_gate, m), counters, x, scratch,
     )  # fmt: skip
     if ADAPTIVE and status == OK and arena[a_own + HOLD] == 0.0:
-        sage_husa(arena[a_own:], n, m, work[w_end], False, stack, e, factor, q, r, work[w_end + 1 :])
+        sage_husa(
+            vector_at(arena, a_own, arena.shape[0] - a_own), n, m, work[w_end], False, stack, e, factor, q, r,
+            vector_at(work, w_end + 1, work.shape[0] - w_end - 1),
+        )  # fmt: skip
     commit(arena, x, factor, nis, loglik, n, m)
     return status

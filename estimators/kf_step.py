@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from servohil.estimators.arena import COUNTERS, N_DIVERGED, arena_offsets
 from servohil.estimators.health import DIVERGED, NOT_FINITE_INPUT, WRONG_SIZE
-from servohil.estimators.linear_update import commit, predict_factor, stack_correction
+from servohil.estimators.linear_update import commit, correct_linear, predict_factor
 from servohil.estimators.linear_work import linear_work_offsets
-from servohil.estimators.measurement_update import admit, correct, within
+from servohil.estimators.measurement_update import admit, within
+from servohil.estimators.views import matrix_at, vector_at
 
 Vector = NDArray[np.float64]
 
@@ -39,45 +40,41 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
         u: (n_u,) input over the period.
         y: (m,) measurement at its end.
     """
-    n = int(N)  # not a literal type: the atoms are compiled once for all sizes, and see the number when inlined
+    n = int(N)  # not a literal type: what is shared is compiled once for all sizes
     m = int(M)
     if u.shape[0] != N_U or y.shape[0] != m:
         return WRONG_SIZE
-    a_x, a_factor, a_q, a_r, a_innovation, a_s, a_nis, _, a_counters, _ = arena_offsets(n, m)
+    a_x, a_factor, a_q, a_r, a_innovation, a_s, _, _, a_counters, _ = arena_offsets(n, m)
     (
-        w_gate, w_state, w_output, w_x, w_factor, w_roots, w_stack, w_stages, w_steps, _, _, _, w_y, w_e, w_scratch,
-        w_end,
+        w_gate, w_state, w_output, w_x, w_factor, w_roots, w_stack, w_stages, _, _, _, _, w_y, w_e, w_scratch, _,
     ) = linear_work_offsets(n, m, 0)  # fmt: skip
-    counters = arena[a_counters : a_counters + COUNTERS]
+    counters = vector_at(arena, a_counters, COUNTERS)
     present = admit(u, y, counters)
     if present < 0:
         return NOT_FINITE_INPUT
-    x = work[w_x:w_factor]
-    factor = work[w_factor:w_roots].reshape((n, n))
-    stack = work[w_stack:w_stages].reshape((n + max(n, m), n + m))
-    scratch = work[w_scratch:w_end]
-    predicted_y = work[w_y:w_e]
-    e = work[w_e:w_scratch]
-    innovation = arena[a_innovation:a_s]
+    x = vector_at(work, w_x, n)
+    factor = matrix_at(work, w_factor, n, n)
+    stack = matrix_at(work, w_stack, n + max(n, m), n + m)
+    scratch = vector_at(work, w_scratch, n + m)
+    predicted_y = vector_at(work, w_y, m)
+    innovation = vector_at(arena, a_innovation, m)
 
     for i in range(n):
         x[i] = arena[a_x + i]
-    integrate(f, n, DT, SUBSTEPS, x, u, p, work[w_stages:w_steps].reshape((5, n)))
+    integrate(f, n, DT, SUBSTEPS, x, u, p, matrix_at(work, w_stages, 5, n))
     good = predict_factor(
-        arena[a_factor:a_q].reshape((n, n)), work[w_state:w_output].reshape((n, n)), arena[a_q:a_r].reshape((n, n)),
-        n, n, stack, scratch, factor,
+        matrix_at(arena, a_factor, n, n), matrix_at(work, w_state, n, n), matrix_at(arena, a_q, n, n), n, n, stack,
+        scratch, factor,
     )  # fmt: skip
     if not (good and within(x)):
         counters[N_DIVERGED] += 1.0
         return DIVERGED
     h(x, u, p, predicted_y)
     subtract_y(y, predicted_y, innovation)
-    stack_correction(
-        factor, work[w_output:w_x].reshape((n, m)), arena[a_r:a_innovation].reshape((m, m)), m, n, m, y, innovation,
-        present, work[w_roots:w_stack].reshape((n, m)), stack, arena[a_s:a_nis].reshape((m, m)), e,
-    )  # fmt: skip
-    status, nis, loglik = correct(
-        stack, n + m, present, n, m, e, work[w_gate:w_state], counters, x, factor, scratch
+    status, nis, loglik = correct_linear(
+        factor, matrix_at(work, w_output, n, m), matrix_at(arena, a_r, m, m), m, n, m, y, innovation, present,
+        matrix_at(work, w_roots, n, m), stack, matrix_at(arena, a_s, m, m), vector_at(work, w_e, m),
+        vector_at(work, w_gate, m), counters, x, scratch,
     )  # fmt: skip
     commit(arena, x, factor, nis, loglik, n, m)
     return status

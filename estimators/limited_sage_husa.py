@@ -78,7 +78,7 @@ def limited_sage_husa(
                 factor[i, j] *= sqrt(bounded / variance)
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def _diagonal(factor: Matrix, size: int, stack: Matrix, m: int, first: int, gain: float, change: Vector) -> bool:
     """True: the limit acted."""
     limited = False
@@ -95,7 +95,7 @@ def _diagonal(factor: Matrix, size: int, stack: Matrix, m: int, first: int, gain
     return limited
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def _full(
     factor: Matrix, size: int, stack: Matrix, m: int, first: int, gain: float, low: float, start: Matrix,
     change: Vector, column: Vector, copy: Matrix,
@@ -128,7 +128,7 @@ def _full(
     return step < gain or not good
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def _step(
     factor: Matrix, size: int, stack: Matrix, m: int, first: int, step: float, whole: bool, change: Vector,
     column: Vector, copy: Matrix,

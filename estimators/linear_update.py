@@ -1,4 +1,7 @@
-"""The two halves of a step with matrices, by square roots: predict the factor, stack what the correction takes."""
+"""The two halves of a step with matrices, by square roots: predict the factor, and correct.
+
+None of this is inlined into a filter's step: it is compiled once for all models and sizes.
+"""
 
 from math import isnan
 
@@ -7,14 +10,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from servohil.estimators.arena import arena_offsets
-from servohil.estimators.measurement_update import within
+from servohil.estimators.measurement_update import correct, within
 from servohil.estimators.triangularise import triangularise
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def predict_factor(
     last: Matrix, jacobian: Matrix, noise: Matrix, noise_rows: int, n: int, stack: Matrix, scratch: Vector,
     factor: Matrix,
@@ -43,7 +46,7 @@ def predict_factor(
     return replace_factor(stack, n + noise_rows, n, scratch, factor)
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def replace_factor(stack: Matrix, rows: int, n: int, scratch: Vector, factor: Matrix) -> bool:
     """Fill factor (n, n) with the triangular form of the first `rows` rows of the stack. False: not finite."""
     triangularise(stack, rows, n, scratch)
@@ -55,7 +58,7 @@ def replace_factor(stack: Matrix, rows: int, n: int, scratch: Vector, factor: Ma
     return good
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def stack_correction(
     factor: Matrix, jacobian: Matrix, noise: Matrix, noise_rows: int, n: int, m: int, y: Vector, innovation: Vector,
     present: int, roots: Matrix, stack: Matrix, s: Matrix, e: Vector,
@@ -108,7 +111,18 @@ def stack_correction(
             stack[n + i, present + j] = 0.0
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
+def correct_linear(
+    factor: Matrix, jacobian: Matrix, noise: Matrix, noise_rows: int, n: int, m: int, y: Vector, innovation: Vector,
+    present: int, roots: Matrix, stack: Matrix, s: Matrix, e: Vector, limits: Vector, counters: Vector, x: Vector,
+    scratch: Vector,
+) -> tuple[int, float, float]:  # fmt: skip
+    """`stack_correction` and `measurement_update.correct`, whose arguments these are. Status, nis, log-likelihood."""
+    stack_correction(factor, jacobian, noise, noise_rows, n, m, y, innovation, present, roots, stack, s, e)
+    return correct(stack, n + noise_rows, present, n, m, e, limits, counters, x, factor, scratch)
+
+
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def commit(arena: Vector, x: Vector, factor: Matrix, nis: float, loglik: float, n: int, m: int) -> None:
     """Write the result of a step into the arena."""
     a_x, a_factor, _, _, _, _, a_nis, a_loglik, _, _ = arena_offsets(n, m)

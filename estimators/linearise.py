@@ -14,6 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from servohil.estimators.views import vector_at
+
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
@@ -25,7 +27,7 @@ OFFSETS: Final = (1.0, -1.0, 2.0, -2.0)
 WEIGHTS: Final = (2.0 / 3.0, -2.0 / 3.0, -1.0 / 12.0, 1.0 / 12.0)
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def stencil_steps(magnitudes: Vector, factor: Matrix, n: int, steps: Vector) -> None:
     """Fill steps (n,) with powers of two near 2^-10 max(|x_i|, 8 standard deviations of x_i); 2^-10 where both are 0.
 
@@ -45,7 +47,7 @@ def stencil_steps(magnitudes: Vector, factor: Matrix, n: int, steps: Vector) -> 
         steps[k] = ldexp(1.0, frexp(scale)[1] - 1 + STEP_EXPONENT)
 
 
-@njit(nogil=True, forceinline=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, inline="always", error_model="numpy", _nrt=False)
 def state_jacobian(
     f: Any, integrate: Any, subtract: Any, n: int, dt: float, substeps: int, x: Vector, moved: Vector, factor: Matrix,
     u: Vector, p: Vector, jacobian: Matrix, steps: Vector, trial: Vector, difference: Vector, stages: Matrix,
@@ -65,7 +67,7 @@ def state_jacobian(
     """
     for j in range(n):
         trial[j] = 0.0
-    subtract(x, trial, difference[:n])  # an angle's magnitude is that of the wrapped angle
+    subtract(x, trial, vector_at(difference, 0, n))  # an angle's magnitude is that of the wrapped angle
     stencil_steps(difference, factor, n, steps)
     for k in range(n):
         for j in range(n):
@@ -75,13 +77,13 @@ def state_jacobian(
                 trial[j] = x[j]
             trial[k] += OFFSETS[s] * steps[k]
             integrate(f, n, dt, substeps, trial, u, p, stages)
-            subtract(trial, moved, difference[:n])
+            subtract(trial, moved, vector_at(difference, 0, n))
             weight = WEIGHTS[s] / steps[k]
             for j in range(n):
                 jacobian[k, j] += weight * difference[j]
 
 
-@njit(nogil=True, forceinline=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, inline="always", error_model="numpy", _nrt=False)
 def output_jacobian(
     h: Any, subtract_x: Any, subtract_y: Any, n: int, m: int, x: Vector, seen: Vector, factor: Matrix, u: Vector,
     p: Vector, jacobian: Matrix, steps: Vector, trial: Vector, outputs: Vector, difference: Vector,
@@ -101,7 +103,7 @@ def output_jacobian(
     """
     for j in range(n):
         trial[j] = 0.0
-    subtract_x(x, trial, difference[:n])
+    subtract_x(x, trial, vector_at(difference, 0, n))
     stencil_steps(difference, factor, n, steps)
     for j in range(n):
         trial[j] = x[j]
@@ -111,7 +113,7 @@ def output_jacobian(
         for s in range(4):
             trial[k] = x[k] + OFFSETS[s] * steps[k]
             h(trial, u, p, outputs)
-            subtract_y(outputs, seen, difference[:m])
+            subtract_y(outputs, seen, vector_at(difference, 0, m))
             weight = WEIGHTS[s] / steps[k]
             for c in range(m):
                 jacobian[k, c] += weight * difference[c]

@@ -130,9 +130,7 @@ class Model:
             "subtract_x": residuals["state_residual"],
             "subtract_y": residuals["output_residual"],
         }
-        self._compiled = {
-            name: _DIFFERENCE if g is difference else njit(**OPTIONS)(g) for name, g in functions.items()
-        }
+        self._compiled = {name: _DIFFERENCE if g is difference else njit(**OPTIONS)(g) for name, g in functions.items()}
         self._stages = np.zeros(STAGES * self.n)
         signature = f"void({VECTOR}, {VECTOR}, {VECTOR}, {VECTOR})"
         sizes = (self.n, self.n_u, self.p)

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from servohil.estimators.arena import COUNTERS, N_DIVERGED, N_REPAIRED, arena_offsets
 from servohil.estimators.health import DIVERGED, NOT_FINITE_INPUT, REPAIRED, WRONG_SIZE
-from servohil.estimators.linear_update import commit, predict_factor, stack_correction
+from servohil.estimators.linear_update import commit, correct_linear, predict_factor
 from servohil.estimators.linear_work import linear_work_offsets
-from servohil.estimators.measurement_update import admit, correct, within
+from servohil.estimators.measurement_update import admit, within
 from servohil.estimators.uncertainty import inflate, widen
+from servohil.estimators.views import matrix_at, vector_at
 
 Vector = NDArray[np.float64]
 
@@ -59,54 +60,52 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
         u: (n_u,) input over the period.
         y: (m,) measurement at its end.
     """
-    n = int(N)  # not a literal type: the atoms are compiled once for all sizes, and see the number when inlined
+    n = int(N)  # not a literal type: what is shared is compiled once for all sizes
     m = int(M)
     i = int(work[SIZE_I])
     j = int(work[SIZE_J])
     if u.shape[0] != N_U or y.shape[0] != m:
         return WRONG_SIZE
-    a_x, a_factor, a_q, a_r, a_innovation, a_s, a_nis, _, a_counters, _ = arena_offsets(n, m)
+    a_x, a_factor, a_q, a_r, a_innovation, a_s, _, _, a_counters, _ = arena_offsets(n, m)
     (
-        w_gate, w_state, w_output, w_x, w_factor, w_roots, w_stack, w_stages, w_steps, _, _, _, w_y, w_e, w_scratch,
-        w_end,
+        w_gate, w_state, w_output, w_x, w_factor, w_roots, w_stack, w_stages, _, _, _, _, w_y, w_e, w_scratch, _,
     ) = linear_work_offsets(n, m, max(i, j))  # fmt: skip
-    w_epsilon, w_h1, w_h2, w_direction, w_wide, w_seen, w_condition, w_root, w_last, _ = robust_work_offsets(n, m, i, j)
-    counters = arena[a_counters : a_counters + COUNTERS]
+    w_epsilon, w_h1, w_h2, w_direction, w_wide, w_seen, w_condition, w_root, _, _ = robust_work_offsets(n, m, i, j)
+    counters = vector_at(arena, a_counters, COUNTERS)
     present = admit(u, y, counters)
     if present < 0:
         return NOT_FINITE_INPUT
-    x = work[w_x:w_factor]
-    factor = work[w_factor:w_roots].reshape((n, n))
-    stack = work[w_stack:w_stages].reshape((n + max(n, m) + max(i, j), n + m))
-    scratch = work[w_scratch:w_end]
-    predicted_y = work[w_y:w_e]
-    e = work[w_e:w_scratch]
-    innovation = arena[a_innovation:a_s]
+    x = vector_at(work, w_x, n)
+    factor = matrix_at(work, w_factor, n, n)
+    stack = matrix_at(work, w_stack, n + max(n, m) + max(i, j), n + m)
+    scratch = vector_at(work, w_scratch, n + m)
+    predicted_y = vector_at(work, w_y, m)
+    innovation = vector_at(arena, a_innovation, m)
     epsilon = work[w_epsilon]
-    direction = work[w_direction:w_wide].reshape((j, n))
-    seen = work[w_seen:w_condition].reshape((n + 1, j))
-    condition = work[w_condition:w_root].reshape((j, j))
-    root = work[w_root:w_last].reshape((j, j))
+    direction = matrix_at(work, w_direction, j, n)
+    seen = matrix_at(work, w_seen, n + 1, j)
+    condition = matrix_at(work, w_condition, j, j)
+    root = matrix_at(work, w_root, j, j)
     smallest = epsilon
 
     for k in range(n):
         x[k] = arena[a_x + k]
     for k in range(n * n):
         work[w_factor + k] = arena[a_factor + k]
-    process = arena[a_q:a_r].reshape((n, n))
+    process = matrix_at(arena, a_q, n, n)
     rows = n
     if work[ON_STATE] != 0.0:
         smallest = inflate(x, factor, direction, epsilon, n, j, seen, condition, root, stack, scratch)
-        wide = work[w_wide : w_wide + (n + i) * n].reshape((n + i, n))
-        widen(process, work[w_h1:w_h2].reshape((i, n)), smallest, n, i, wide)
+        wide = matrix_at(work, w_wide, n + i, n)
+        widen(process, matrix_at(work, w_h1, i, n), smallest, n, i, wide)
         process = wide
         rows = n + i
-    integrate(f, n, DT, SUBSTEPS, x, u, p, work[w_stages:w_steps].reshape((5, n)))
-    good = predict_factor(factor, work[w_state:w_output].reshape((n, n)), process, rows, n, stack, scratch, factor)
+    integrate(f, n, DT, SUBSTEPS, x, u, p, matrix_at(work, w_stages, 5, n))
+    good = predict_factor(factor, matrix_at(work, w_state, n, n), process, rows, n, stack, scratch, factor)
     if smallest <= 0.0 or not (good and within(x)):
         counters[N_DIVERGED] += 1.0
         return DIVERGED
-    noise = arena[a_r:a_innovation].reshape((m, m))
+    noise = matrix_at(arena, a_r, m, m)
     rows = m
     if work[ON_OUTPUT] != 0.0 and present > 0:
         used = inflate(x, factor, direction, epsilon, n, j, seen, condition, root, stack, scratch)
@@ -114,18 +113,16 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
             counters[N_DIVERGED] += 1.0
             return DIVERGED
         smallest = min(smallest, used)
-        wider = work[w_wide : w_wide + (m + i) * m].reshape((m + i, m))
-        widen(noise, work[w_h2:w_direction].reshape((i, m)), used, m, i, wider)
+        wider = matrix_at(work, w_wide, m + i, m)
+        widen(noise, matrix_at(work, w_h2, i, m), used, m, i, wider)
         noise = wider
         rows = m + i
     h(x, u, p, predicted_y)
     subtract_y(y, predicted_y, innovation)
-    stack_correction(
-        factor, work[w_output:w_x].reshape((n, m)), noise, rows, n, m, y, innovation, present,
-        work[w_roots:w_stack].reshape((n, m)), stack, arena[a_s:a_nis].reshape((m, m)), e,
-    )  # fmt: skip
-    status, nis, loglik = correct(
-        stack, n + rows, present, n, m, e, work[w_gate:w_state], counters, x, factor, scratch
+    status, nis, loglik = correct_linear(
+        factor, matrix_at(work, w_output, n, m), noise, rows, n, m, y, innovation, present,
+        matrix_at(work, w_roots, n, m), stack, matrix_at(arena, a_s, m, m), vector_at(work, w_e, m),
+        vector_at(work, w_gate, m), counters, x, scratch,
     )  # fmt: skip
     if smallest < epsilon and not status & REPAIRED:
         status |= REPAIRED

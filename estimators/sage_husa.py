@@ -123,7 +123,7 @@ def gram(rows: Matrix, count: int, i: int, j: int) -> float:
     return total
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def _replace(matrix: Matrix, size: int, upper: Matrix, factor: Matrix) -> bool:
     """Put the factor of the matrix in place of the old one; False, and nothing changed: not positive definite."""
     good = cholesky(matrix, size, upper)

@@ -14,8 +14,8 @@ from servohil.estimators.arena import COUNTERS, N_DIVERGED, arena_offsets
 from servohil.estimators.health import DIVERGED, NOT_FINITE_INPUT, WRONG_SIZE
 from servohil.estimators.measurement_update import admit, correct
 from servohil.estimators.sigma_point_update import predict, predict_measurement, propagate
-from servohil.estimators.views import matrix_at, vector_at
 from servohil.estimators.sigma_point_work import OUTER, ROOT_CENTRE, SPREAD, work_offsets
+from servohil.estimators.views import matrix_at, vector_at
 
 Vector = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     if u.shape[0] != N_U or y.shape[0] != m:
         return WRONG_SIZE
     a_x, a_factor, a_q, a_r, a_innovation, a_s, a_nis, a_loglik, a_counters, _ = arena_offsets(n, m)
-    _, w_gate, w_x, w_factor, w_points, w_outputs, w_stack, w_stages, w_y, w_e, w_scratch, w_end = work_offsets(n, m)
+    _, w_gate, w_x, w_factor, w_points, w_outputs, w_stack, w_stages, w_y, w_e, w_scratch, _ = work_offsets(n, m)
     counters = vector_at(arena, a_counters, COUNTERS)
     present = admit(u, y, counters)
     if present < 0:

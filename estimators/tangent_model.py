@@ -41,7 +41,7 @@ def state_scales(x: Vector, factor: Matrix, n: int, scales: Vector) -> None:
         scales[j] = max(np.sqrt(total), LEAST_SCALE * abs(x[j]), SMALLEST_SCALE)
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, inline="always", error_model="numpy", _nrt=False)
 def derivative_along(
     function: Any, size: int, n: int, x: Vector, u: Vector, p: Vector, direction: Vector, index: int, rate: float,
     scales: Vector, moved: Vector, values: Matrix, out: Vector,
@@ -87,7 +87,7 @@ def derivative_along(
         out[i] = (8.0 * near - far) / (12.0 * step)
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, inline="always", error_model="numpy", _nrt=False)
 def tangent_rk4(
     f: Any, n: int, k: int, moving: int, dt: float, substeps: int, x: Vector, tangents: Matrix, u: Vector, p: Vector,
     index: Vector, rates: Vector, scales: Vector, stages: Matrix, scratch: Matrix,
@@ -144,7 +144,7 @@ def tangent_rk4(
                 tangents[j, i] += step / 6.0 * scratch[k + j, i]
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, inline="always", error_model="numpy", _nrt=False)
 def tangent_euler(
     f: Any, n: int, k: int, moving: int, dt: float, substeps: int, x: Vector, tangents: Matrix, u: Vector, p: Vector,
     index: Vector, rates: Vector, scales: Vector, stages: Matrix, scratch: Matrix,
@@ -166,7 +166,7 @@ def tangent_euler(
             x[i] += step * stages[0, i]
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(nogil=True, inline="always", error_model="numpy", _nrt=False)
 def tangent_discrete(
     f: Any, n: int, k: int, moving: int, dt: float, substeps: int, x: Vector, tangents: Matrix, u: Vector, p: Vector,
     index: Vector, rates: Vector, scales: Vector, stages: Matrix, scratch: Matrix,

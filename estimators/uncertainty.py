@@ -29,7 +29,7 @@ MARGIN: Final = 0.01
 SHARE: Final = 0.5
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def inflate(
     x: Vector, factor: Matrix, direction: Matrix, epsilon: float, n: int, j: int, seen: Matrix, condition: Matrix,
     root: Matrix, stack: Matrix, scratch: Vector,
@@ -91,7 +91,7 @@ def inflate(
     return epsilon if good and within(x) else 0.0
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def _fill(condition: Matrix, seen: Matrix, rows: int, j: int, diagonal: float) -> None:
     """condition = diagonal I - seen' seen over the first rows."""
     for a in range(j):
@@ -101,7 +101,7 @@ def _fill(condition: Matrix, seen: Matrix, rows: int, j: int, diagonal: float) -
                 condition[a, b] -= seen[i, a] * seen[i, b]
 
 
-@njit(nogil=True, cache=True, forceinline=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def widen(noise: Matrix, effect: Matrix, epsilon: float, rows: int, i: int, wide: Matrix) -> None:
     """Fill wide (rows + i, rows) with the transposed factor of Q + eps^-1 H H'.
 

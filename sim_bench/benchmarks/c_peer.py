@@ -18,7 +18,7 @@ FLAGS: Final = ("-O3", "-march=native", "-shared", "-fPIC")
 POINTER, DOUBLE = ctypes.c_void_p, ctypes.c_double
 
 
-class PeerUnavailable(Exception):
+class PeerUnavailableError(Exception):
     """There is nothing to compare with on this machine; the message says why."""
 
 
@@ -30,18 +30,18 @@ class CPeer:
         folder: where the library is put.
 
     Raises:
-        PeerUnavailable: no gcc, or it failed.
+        PeerUnavailableError: no gcc, or it failed.
     """
 
     def __init__(self, case: Case, folder: Path) -> None:
         gcc = shutil.which("gcc")
         if gcc is None:
-            raise PeerUnavailable("no gcc")
+            raise PeerUnavailableError("no gcc")
         library = folder / f"srukf{case.model.n}.so"
         command = [gcc, *FLAGS, f"-DN={case.model.n}", str(SOURCE), "-o", str(library), "-lm"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode != 0:
-            raise PeerUnavailable(f"gcc failed: {done.stderr.strip().splitlines()[-1:]}")
+            raise PeerUnavailableError(f"gcc failed: {done.stderr.strip().splitlines()[-1:]}")
         self._run = ctypes.CDLL(str(library)).run
         self._run.restype = None
         self._run.argtypes = [

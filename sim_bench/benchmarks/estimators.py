@@ -1,4 +1,4 @@
-"""`hil benchmark estimators`: what one step of our filter costs, beside filterpy and beside a filter written by hand in C.
+"""`hil benchmark estimators`: what one step of our filter costs, beside filterpy and beside one written by hand in C.
 
 Same model, same data, in one run; all take turns, so that a machine that slows down slows all of them, and ratios are
 taken within a turn. Times are processor time of the thread: what other programs take of the machine does not count.
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from servohil.estimators.arena import arena_offsets
 from servohil.estimators.trajectory import ROWS, STEP_TYPE
 from servohil.hil.claims import Claim
-from servohil.sim_bench.benchmarks.c_peer import CPeer, PeerUnavailable
+from servohil.sim_bench.benchmarks.c_peer import CPeer, PeerUnavailableError
 from servohil.sim_bench.benchmarks.command import Tick
 from servohil.sim_bench.benchmarks.estimator_cases import Case, eleven_states, four_states
 from servohil.sim_bench.benchmarks.filterpy_peer import FilterpyPeer
@@ -102,7 +102,9 @@ class FromPython:
         self.estimates = self._filter.x[None]
 
 
-def step_times(contestants: dict[str, tuple[Contestant, int]], turns: int, tick: Callable[[], None]) -> dict[str, Vector]:
+def step_times(
+    contestants: dict[str, tuple[Contestant, int]], turns: int, tick: Callable[[], None]
+) -> dict[str, Vector]:
     """(turns,) us per step of each contestant, which come with their numbers of steps."""
     found: dict[str, list[float]] = {name: [] for name in contestants}
     for turn in range(turns + 1):
@@ -157,7 +159,7 @@ def _case_claims(case: Case, command: str, turns: int, folder: Path, tick: Calla
     for name, (make, steps) in candidates.items():
         try:
             contestants[name] = make(), steps
-        except PeerUnavailable as error:
+        except PeerUnavailableError as error:
             absent[name] = f"not run: {error}"
     times = step_times(contestants, turns, tick)
     claims = []

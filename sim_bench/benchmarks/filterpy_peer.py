@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from servohil.estimators.models import cylinder
-from servohil.sim_bench.benchmarks.c_peer import PeerUnavailable
+from servohil.sim_bench.benchmarks.c_peer import PeerUnavailableError
 from servohil.sim_bench.benchmarks.estimator_cases import Case
 
 Vector = NDArray[np.float64]
@@ -47,14 +47,14 @@ class FilterpyPeer:
         compiled: one compiled function moves a point; otherwise the model is plain Python.
 
     Raises:
-        PeerUnavailable: filterpy is not installed.
+        PeerUnavailableError: filterpy is not installed.
     """
 
     def __init__(self, case: Case, steps: int, *, compiled: bool) -> None:
         try:
             import filterpy.kalman
         except ImportError:
-            raise PeerUnavailable("filterpy is not installed") from None
+            raise PeerUnavailableError("filterpy is not installed") from None
         self._library = filterpy.kalman
         self._case = case
         p, dt = case.model.p, case.model.dt
