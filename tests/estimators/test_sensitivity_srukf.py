@@ -4,12 +4,12 @@ import numpy as np
 import one_link_arm as arm
 import pytest
 from hydraulic_bench import DT, HEALTHY, MEASUREMENT_STD, P0, PROCESS_STD, X0, healthy_motion, srukf
-from numba.core.runtime import _nrt_python, rtsys
 
 from servohil.estimators import SRUKF, Model
-from servohil.estimators.health import Status
 from servohil.estimators.models import cylinder
 from servohil.estimators.sensitivity_srukf import SensitivitySRUKF
+
+pytestmark = pytest.mark.nightly
 
 NAN = float("nan")
 ARM_X0, ARM_P0 = np.array([1.5, 0.0]), np.diag([0.01, 0.04])

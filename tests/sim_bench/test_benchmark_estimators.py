@@ -9,8 +9,10 @@ from click.testing import CliRunner
 from servohil.hil.claims import read_claims
 from servohil.hil.cli import main
 from servohil.sim_bench.benchmarks import c_peer, estimators
-from servohil.sim_bench.benchmarks.c_peer import CPeer, PeerUnavailable
+from servohil.sim_bench.benchmarks.c_peer import CPeer, PeerUnavailableError
 from servohil.sim_bench.benchmarks.estimator_cases import eleven_states, four_states
+
+pytestmark = pytest.mark.nightly
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +66,7 @@ def test_without_a_compiler_the_peer_is_reported_as_not_run(monkeypatch, tmp_pat
 
 def test_a_compiler_that_fails_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(c_peer, "FLAGS", ("--no-such-flag",))
-    with pytest.raises(PeerUnavailable, match="gcc failed.*no-such-flag"):
+    with pytest.raises(PeerUnavailableError, match="gcc failed.*no-such-flag"):
         CPeer(four_states(10), tmp_path)
 
 
