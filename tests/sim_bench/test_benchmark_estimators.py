@@ -66,7 +66,7 @@ def test_without_a_compiler_the_peer_is_reported_as_not_run(monkeypatch, tmp_pat
 
 def test_a_compiler_that_fails_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(c_peer, "FLAGS", ("--no-such-flag",))
-    with pytest.raises(PeerUnavailableError, match="gcc failed.*no-such-flag"):
+    with pytest.raises(PeerUnavailableError, match=r"gcc failed.*no-such-flag"):
         CPeer(four_states(10), tmp_path)
 
 
