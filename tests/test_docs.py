@@ -55,6 +55,7 @@ def test_every_command_runs(page: Path, tmp_path: Path) -> None:
             assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
 
 
+@pytest.mark.nightly  # one compilation per filter
 @pytest.mark.parametrize("page", [p for p in PAGES if PYTHON.search(p.read_text())], ids=lambda p: p.name)
 def test_every_python_example_runs(page: Path, tmp_path: Path) -> None:
     """All examples of a page in one interpreter, top to bottom, as a reader would try them."""

@@ -239,7 +239,6 @@ def test_what_is_not_excited_does_not_drift():
 
 def test_prediction_error_form_of_the_paper_finds_the_parameters():
     inputs, samples, _ = one_link(arm.TRUE, arm.TRUE, 15_000, (15_000, 15_000))
-    ukf = p4(criterion="prediction-error", R=arm.R, R_entries=(), P0_parameters=[27.0, 0.15, 2.0, 0.03, 1.0])
     ukf = p4(
         criterion="prediction-error", R=arm.R, R_entries=(), lower=None, upper=None,
         P0_parameters=[27.0, 0.15, 2.0, 0.03, 1.0],
@@ -255,3 +254,197 @@ def test_likelihood_tells_the_size_of_both_noises():
     ukf.run(inputs, samples)
     np.testing.assert_allclose(np.diag(ukf.Q), [1e-9, 5e-5], rtol=0.3)
     np.testing.assert_allclose(np.diag(ukf.R), [5e-7, 0.5], rtol=0.15)
+
+
+def arm_data(steps=400):
+    inputs, samples, _ = arm_motion(steps)
+    samples[50:60, 1] = NAN
+    samples[70] = np.inf
+    samples[80] = NAN
+    samples[90] = [3.0, 0.0]
+    return inputs, samples
+
+
+def moving(**changes):
+    return arm_filter(window=20, least_excitation=0.1, gate=0.999999, **changes)
+
+
+def state(ukf):
+    return [
+        ukf.x, ukf.P, ukf.Q, ukf.R, ukf.parameters, ukf.parameter_covariance, ukf.held, ukf.excitation,
+        ukf.sensitivity_x, ukf.sensitivity_P, ukf.sensitivity_y, ukf.gain, ukf.sensitivity_gain,
+        ukf.sensitivity_loglik,
+    ]  # fmt: skip
+
+
+def test_run_equals_the_step_loop_and_the_arena_is_the_whole_state():
+    inputs, samples = arm_data()
+    ukf, looped = moving(), moving()
+    trajectory = ukf.run(inputs, samples)
+    status = [looped.step(u, y) for u, y in zip(inputs, samples, strict=True)]
+    np.testing.assert_array_equal(trajectory.status, status)
+    assert ukf.arena.tobytes() == looped.arena.tobytes()
+    assert ukf.health.gated == ukf.health.not_finite_input == 1
+    assert (ukf.parameters != moving().parameters).all()
+    memory = np.zeros(SensitivitySRUKF.arena_size(2, 2, 6, 4) + 20)
+    first, other = moving(arena=memory[10:-10]), moving(Q=4.0 * arm.Q, P0=4.0 * ARM_P0)
+    first.run(inputs[:200], samples[:200])
+    other.run(inputs[:50], samples[:50])
+    other.arena[:] = memory[10:-10]
+    other.run(inputs[200:], samples[200:])
+    assert other.arena.tobytes() == ukf.arena.tobytes()
+    for found, expected in zip(state(other), state(ukf), strict=True):
+        np.testing.assert_array_equal(found, expected)
+    assert (memory[:10] == 0.0).all() and (memory[-10:] == 0.0).all()
+
+
+def test_reset_starts_the_estimates_again_and_keeps_the_configuration():
+    inputs, samples = arm_data()
+    ukf = moving()
+    ukf.run(inputs, samples)
+    first = ukf.arena.tobytes()
+    ukf.adapting = False
+    ukf.reset()
+    assert not ukf.adapting and ukf.health.steps == 0 and ukf.held.all()
+    np.testing.assert_allclose(ukf.Q, arm.Q, rtol=1e-14)
+    np.testing.assert_allclose(ukf.R, arm.R, rtol=1e-14)
+    np.testing.assert_allclose(ukf.parameters, [*START[:4], np.log(5e-5), np.log(5.0)], rtol=1e-14)
+    np.testing.assert_allclose(ukf.parameter_std, [*(0.5 * START[:4]), 1.0, 1.0])
+    assert not ukf.sensitivity_x.any() and not ukf.excitation.any()
+    ukf.adapting = True
+    ukf.Q, ukf.R = np.diag([1e-11, 0.0]), 9.0 * arm.R  # also a variance that was set to zero comes back
+    ukf.reset()
+    ukf.run(inputs, samples)
+    np.testing.assert_allclose(np.frombuffer(first)[:2], ukf.x, rtol=1e-6)
+    np.testing.assert_allclose(ukf.R[0, 0], 9.0 * 5e-7)  # not among the estimated entries: configuration
+
+
+def test_a_variance_set_to_zero_is_left_alone():
+    inputs, samples = arm_data()
+    ukf = moving()
+    ukf.Q = np.diag([1e-11, 0.0])
+    ukf.run(inputs, samples)
+    assert ukf.Q[1, 1] == 0.0 and ukf.parameters[4] == -np.inf
+    assert np.isfinite(ukf.arena[: -1 - len(ukf.innovation)]).any() and np.isfinite(ukf.x).all()
+
+
+def test_adaptation_off_leaves_the_parameters_and_the_model_its_own():
+    inputs, samples = arm_data()
+    ukf = moving()
+    ukf.adapting = False
+    before = ukf.parameters
+    ukf.run(inputs, samples)
+    np.testing.assert_array_equal(ukf.parameters, before)
+    np.testing.assert_array_equal(ukf.model.p, START)
+    assert ukf.sensitivity_x.all() and not ukf.held[:4].all()
+
+
+def test_bounds_hold():
+    inputs, samples, _ = arm_motion(3000)
+    lower, upper = [0.9, 0.9, 0.9, 0.9], [1.1, 1.1, 1.1, 1.1]
+    limits = {
+        "lower": np.concatenate([START[:4] * lower, np.log([5e-5, 5.0]) - 0.01]),
+        "upper": np.concatenate([START[:4] * upper, np.log([5e-5, 5.0]) + 0.01]),
+    }
+    ukf, touched = moving(**limits), np.zeros(6, dtype=bool)
+    for k in range(0, 3000, 50):
+        ukf.run(inputs[k : k + 50], samples[k : k + 50])
+        assert (ukf.parameters >= limits["lower"] - 1e-12).all() and (ukf.parameters <= limits["upper"] + 1e-12).all()
+        touched |= np.isclose(ukf.parameters, limits["lower"], atol=1e-9, rtol=0)
+        touched |= np.isclose(ukf.parameters, limits["upper"], atol=1e-9, rtol=0)
+    assert touched.sum() >= 3
+
+
+def test_bad_input_changes_nothing_but_status_and_counters():
+    inputs, samples = arm_data(60)
+    ukf = moving()
+    ukf.run(inputs, samples)
+    before = state(ukf)
+    u, y = inputs[-1], samples[0]
+    for bad_u, bad_y in ((np.array([NAN]), y), (np.array([np.inf]), y), (u, np.array([-np.inf, 0.0]))):
+        assert ukf.step(bad_u, bad_y) == Status.NOT_FINITE_INPUT
+    assert ukf.step(np.array([1e300]), y) == Status.DIVERGED
+    for found, expected in zip(state(ukf), before, strict=True):
+        np.testing.assert_array_equal(found, expected)
+    assert ukf.health.not_finite_input == 3 and ukf.health.diverged == 1
+
+
+def test_survives_gaps_infinities_and_huge_numbers_and_recovers():
+    inputs, samples, states = one_link(arm.TRUE, arm.TRUE, 30_000, (30_000, 30_000))
+    clean = samples.copy()
+    rng = np.random.default_rng(5)
+    for value, share in ((NAN, 0.2), (np.inf, 0.01), (-np.inf, 0.01), (1e300, 0.01), (-1e300, 0.005), (1e12, 0.001)):
+        samples[rng.random(samples.shape) < share] = value
+    for value, share in ((NAN, 0.01), (np.inf, 0.01), (1e300, 0.01)):
+        inputs[rng.random(inputs.shape) < share] = value
+    good, _, _ = one_link(arm.TRUE, arm.TRUE, 30_000, (30_000, 30_000))
+    inputs[20_000:], samples[20_000:] = good[20_000:], clean[20_000:]
+    ukf = p4(gate=0.999999)
+    trajectory = ukf.run(inputs, samples)
+    assert np.isfinite(trajectory.x).all() and np.isfinite(trajectory.P).all() and np.isfinite(trajectory.nis).all()
+    assert np.linalg.eigvalsh(trajectory.P[::97]).min() > 0.0
+    for values in state(ukf):
+        assert np.isfinite(values).all()
+    assert np.linalg.eigvalsh(ukf.parameter_covariance / np.outer(ukf.parameter_std, ukf.parameter_std)).min() > 0.0
+    assert (np.abs(trajectory.x[-5000:] - states[-5000:]).max(axis=0) < [5e-3, 0.5]).all()
+    np.testing.assert_allclose(ukf.parameters[:4], arm.TRUE[:4], rtol=0.1)
+    health = ukf.health
+    assert min(health.missing, health.gated, health.not_finite_input, health.diverged) > 0
+
+
+def test_without_a_gate_an_outlier_is_survived_too():
+    inputs, samples = arm_data()
+    samples[90] = [1e12, 0.0]
+    samples[95] = [1e300, 0.0]
+    ukf = arm_filter(window=20, least_excitation=0.1)
+    trajectory = ukf.run(inputs, samples)
+    assert np.isfinite(trajectory.x).all() and all(np.isfinite(values).all() for values in state(ukf))
+    assert trajectory.status[95] & Status.REPAIRED
+
+
+def test_memory_allocations_do_not_grow_with_the_steps():
+    inputs, samples, _ = arm_motion(2000)
+    ukf = moving()
+    ukf.run(inputs[:10], samples[:10])
+    _nrt_python.memsys_enable_stats()
+
+    def allocations(steps):
+        before = rtsys.get_allocation_stats().mi_alloc
+        ukf.run(inputs[:steps], samples[:steps])
+        return rtsys.get_allocation_stats().mi_alloc - before
+
+    assert allocations(1000) == allocations(2000)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"parameters": (6,)}, r"parameters = \(6,\).*index >= 0 and < 6"),
+        ({"parameters": (1, 1, 2, 3)}, "every index once"),
+        ({"Q_entries": (2,)}, r"Q_entries = \(2,\)"),
+        ({"R_entries": (-1,)}, r"R_entries = \(-1,\)"),
+        ({"parameters": (), "Q_entries": (), "R_entries": ()}, "nothing to estimate"),
+        ({"P0_parameters": np.ones(5)}, r"P0_parameters has shape \(5,\): must be \(6,\)"),
+        ({"P0_parameters": np.zeros(6)}, "P0_parameters = .*must be > 0"),
+        ({"P0_parameters": -np.eye(6)}, "P0_parameters = .*positive definite"),
+        ({"Q": np.diag([1e-11, 0.0])}, r"Q\[1, 1\] = 0"),
+        ({"forgetting": 0.0}, "forgetting = 0.0"),
+        ({"forgetting": 1.1}, "forgetting = 1.1"),
+        ({"criterion": "rpem"}, "criterion = 'rpem': must be one of likelihood, prediction-error"),
+        ({"transform": "p4"}, "transform = 'p4': must be one of scaled, paper"),
+        ({"transform": "paper", "alpha": NAN}, "alpha = nan"),
+        ({"alpha": 0.08}, "alpha = 0.08.*between"),
+        ({"threshold": [0.1, 0.2]}, "threshold = .*one number or"),
+        ({"threshold": -0.1}, "threshold = -0.1"),
+        ({"least_excitation": NAN}, "least_excitation = nan"),
+        ({"window": 0}, "window = 0"),
+        ({"memory": 0.0}, "memory = 0.0"),
+        ({"scale": [1.0, 1.0, 0.0, 1.0]}, "scale = .*must be > 0"),
+        ({"lower": np.full(6, 1.0)}, "start .* must lie within"),
+        ({"upper": np.full(6, np.inf)}, "must be finite for the logarithm"),
+        ({"arena": np.zeros(7)}, r"arena = float64 \(7,\)"),
+    ],
+)
+def test_refusals_name_argument_value_and_rule(changes, words):
+    with pytest.raises(ValueError, match=words):
+        arm_filter(**changes)
