@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from servohil.estimators.adaptive_layout import HOLD, N_UPDATES, adaptive_offsets
 from servohil.estimators.arena import COUNTERS, N_DIVERGED, arena_offsets
 from servohil.estimators.health import DIVERGED, GATED, NOT_FINITE_INPUT, REPAIRED, WRONG_SIZE
-from servohil.estimators.measurement_update import admit, correct
+from servohil.estimators.measurement_update import admit, commit
 from servohil.estimators.noise_layout import WRITTEN, entry_size, noise_offsets
 from servohil.estimators.noise_likelihood import restart, take_turn
 from servohil.estimators.noise_scale import gauge
 from servohil.estimators.noise_window import regress
-from servohil.estimators.sigma_point_update import predict, predict_measurement, propagate
+from servohil.estimators.sigma_point_pairs import predict_pairs
+from servohil.estimators.sigma_point_update import predict, propagate
 from servohil.estimators.sigma_point_work import OUTER, ROOT_CENTRE, SPREAD, work_offsets
 
 Vector = NDArray[np.float64]
@@ -64,7 +65,7 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     points = work[w_points:w_outputs].reshape((points_n, n))
     outputs = work[w_outputs:w_stack].reshape((points_n, m))
     stack = work[w_stack:w_stages].reshape((points_n + max(n, m), n + m))
-    stages = work[w_stages:w_y].reshape((5, n))
+    stages = work[w_stages:w_y].reshape((5, points_n * n))
     e = work[w_e:w_scratch]
     scratch = work[w_scratch:w_end]
     room = work[w_end:]
@@ -86,7 +87,7 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     if not predict(subtract_x, n, points, q, root_centre, outer, stack, scratch, x, factor):
         counters[N_DIVERGED] += 1.0
         return DIVERGED
-    predict_measurement(
+    predict_pairs(
         h, subtract_x, subtract_y, n, m, x, factor, r, spread, root_centre,
         outer, u, p, y, present, points, outputs, stack, work[w_y:w_e], arena[a_s:a_nis].reshape((m, m)),
         arena[a_innovation:a_s], e, scratch,
@@ -96,9 +97,7 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     started = gauge(own, n, m, written, WINDOW, own[H:innovation].reshape((m, n)), room[:n], y)
     for i in range(n):
         own[correction + i] = x[i]
-    status, nis, loglik = correct(
-        stack, points_n + m, present, n, m, e, work[w_gate : w_gate + m], counters, x, factor, scratch
-    )
+    status, nis, loglik = commit(stack, present, n, m, e, work[w_gate : w_gate + m], counters, x, factor, scratch)
     for i in range(n):
         own[correction + i] = x[i] - own[correction + i]
         arena[a_x + i] = x[i]

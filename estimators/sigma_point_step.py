@@ -105,7 +105,7 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     points = matrix_at(work, w_points, points_n, n)
     outputs = matrix_at(work, w_outputs, points_n, m)
     stack = matrix_at(work, w_stack, points_n + max(n, m), n + m)
-    stages = matrix_at(work, w_stages, 5, n)
+    stages = matrix_at(work, w_stages, 5, points_n * n)
     e = vector_at(work, w_e, m)
     scratch = vector_at(work, w_scratch, n + m)
     spare = vector_at(work, w_spare, w_size - w_spare)

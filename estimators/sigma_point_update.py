@@ -21,10 +21,9 @@ def propagate(
     f: Any, integrate: Any, n: int, dt: float, substeps: int, last_x: Vector, last_factor: Matrix, spread: float,
     u: Vector, p: Vector, points: Matrix, stages: Matrix,
 ) -> None:  # fmt: skip
-    """Draw the points (2n + 1, n) about the last estimate and move each over one period."""
+    """Draw the points (2n + 1, n) about the last estimate and move each over one period; stages (5, (2n + 1) n)."""
     draw(last_x, last_factor, spread, n, points)
-    for i in range(2 * n + 1):
-        integrate(f, n, dt, substeps, points[i], u, p, stages)
+    integrate(f, n, dt, substeps, vector_at(points, 0, (2 * n + 1) * n), u, p, stages)
 
 
 @njit(nogil=True, inline="always", error_model="numpy", _nrt=False)
@@ -75,6 +74,26 @@ def _predicted_factor(
 
 
 @njit(nogil=True, inline="always", error_model="numpy", _nrt=False)
+def predict_outputs(
+    h: Any, subtract_y: Any, n: int, m: int, x: Vector, factor: Matrix, spread: float, outer: float, u: Vector,
+    p: Vector, y: Vector, points: Matrix, outputs: Matrix, mean_y: Vector, innovation: Vector, scratch: Vector,
+) -> None:  # fmt: skip
+    """Draw the points again about the prediction; fill the deviations of their outputs (2n + 1, m) from the mean
+    output, that mean (m,), and the innovation (m,) of y."""
+    points_n = 2 * n + 1
+    draw(x, factor, spread, n, points)
+    for i in range(points_n):
+        h(points[i], u, p, outputs[i])
+    mean(subtract_y, outputs, points_n, m, outer, scratch, mean_y)
+    subtract_y(y, mean_y, innovation)
+    deviation = vector_at(scratch, 0, m)
+    for i in range(points_n):
+        subtract_y(outputs[i], mean_y, deviation)
+        for c in range(m):
+            outputs[i, c] = deviation[c]
+
+
+@njit(nogil=True, inline="always", error_model="numpy", _nrt=False)
 def predict_measurement(
     h: Any, subtract_x: Any, subtract_y: Any, n: int, m: int, x: Vector, factor: Matrix, r: Matrix, spread: float,
     root_centre: float, outer: float, u: Vector, p: Vector, y: Vector, present: int, points: Matrix, outputs: Matrix,
@@ -94,37 +113,27 @@ def predict_measurement(
         innovation: (m,) filled, NaN where missing.
         e: (m,) filled with the innovation of the present channels.
     """
-    points_n = 2 * n + 1
-    draw(x, factor, spread, n, points)
-    for i in range(points_n):
-        h(points[i], u, p, outputs[i])
-    mean(subtract_y, outputs, points_n, m, outer, scratch, mean_y)
-    subtract_y(y, mean_y, innovation)
-    deviation = vector_at(scratch, 0, m)
-    for i in range(points_n):
-        subtract_y(outputs[i], mean_y, deviation)
-        for c in range(m):
-            outputs[i, c] = deviation[c]
+    predict_outputs(
+        h, subtract_y, n, m, x, factor, spread, outer, u, p, y, points, outputs, mean_y, innovation, scratch
+    )
     deviation = vector_at(scratch, 0, n)
-    for i in range(points_n):
+    for i in range(2 * n + 1):
         subtract_x(points[i], x, deviation)
         for j in range(n):
             stack[i, present + j] = deviation[j]
-    _measurement_stack(n, m, r, root_centre, outer, y, present, outputs, stack, s, innovation, e)
+    innovation_covariance(n, m, r, root_centre, outer, outputs, s)
+    _measurement_stack(n, m, r, root_centre, outer, y, present, outputs, stack, innovation, e)
 
 
 @njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
-def _measurement_stack(
-    n: int, m: int, r: Matrix, root_centre: float, outer: float, y: Vector, present: int, outputs: Matrix,
-    stack: Matrix, s: Matrix, innovation: Vector, e: Vector,
-) -> None:  # fmt: skip
-    """The part of `predict_measurement` after the deviations: compiled once for all models."""
-    points_n = 2 * n + 1
-    root_outer = sqrt(outer)
+def innovation_covariance(
+    n: int, m: int, r: Matrix, root_centre: float, outer: float, outputs: Matrix, s: Matrix
+) -> None:
+    """Fill s (m, m) from the deviations of the outputs (2n + 1, m)."""
     for c in range(m):
         for d in range(c + 1):
             total = 0.0
-            for i in range(1, points_n):
+            for i in range(1, 2 * n + 1):
                 total += outputs[i, c] * outputs[i, d]
             total *= outer
             total += root_centre * root_centre * outputs[0, c] * outputs[0, d]
@@ -132,6 +141,16 @@ def _measurement_stack(
                 total += r[i, c] * r[i, d]
             s[c, d] = total
             s[d, c] = total
+
+
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
+def _measurement_stack(
+    n: int, m: int, r: Matrix, root_centre: float, outer: float, y: Vector, present: int, outputs: Matrix,
+    stack: Matrix, innovation: Vector, e: Vector,
+) -> None:  # fmt: skip
+    """The part of `predict_measurement` after the deviations: compiled once for all models."""
+    points_n = 2 * n + 1
+    root_outer = sqrt(outer)
     columns = 0
     for c in range(m):
         if isnan(y[c]):

@@ -18,7 +18,7 @@ N_CONSTANTS: Final = 3  # spread, root of the central covariance weight, outer w
 @register_jitable
 def work_offsets(n: int, m: int) -> tuple[int, ...]:
     """Starts of the constants, gate (m), predicted x (n), predicted factor (n, n), points (2n + 1, n),
-    outputs (2n + 1, m), stack (2n + 1 + max(n, m), n + m), integrator stages (5, n), predicted y (m),
+    outputs (2n + 1, m), stack (2n + 1 + max(n, m), n + m), integrator stages (5, (2n + 1) n), predicted y (m),
     innovation (m), scratch (n + m); then the size."""
     gate = N_CONSTANTS
     x = gate + m
@@ -27,7 +27,7 @@ def work_offsets(n: int, m: int) -> tuple[int, ...]:
     outputs = points + (2 * n + 1) * n
     stack = outputs + (2 * n + 1) * m
     stages = stack + (2 * n + 1 + max(n, m)) * (n + m)
-    y = stages + 5 * n
+    y = stages + 5 * (2 * n + 1) * n
     innovation = y + m
     scratch = innovation + m
     return 0, gate, x, factor, points, outputs, stack, stages, y, innovation, scratch, scratch + n + m

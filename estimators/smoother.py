@@ -104,7 +104,7 @@ def rts_smooth(
 
 def _work_size(n: int) -> int:
     rows = 2 * n + 1
-    return rows * n + (rows + 2 * n) * 2 * n + 5 * n + 6 * n
+    return rows * n + (rows + 2 * n) * 2 * n + 5 * rows * n + 6 * n
 
 
 def smooth(
@@ -129,10 +129,11 @@ def smooth(
     points = work[: points_n * n].reshape((points_n, n))
     stack = work[points_n * n : points_n * n + rows * 2 * n].reshape((rows, 2 * n))
     rest = work[points_n * n + rows * 2 * n :]
-    stages = rest[: 5 * n].reshape((5, n))
-    predicted = rest[5 * n : 6 * n]
-    correction = rest[6 * n : 7 * n]
-    scratch = rest[7 * n : 11 * n]
+    stages = rest[: 5 * points_n * n].reshape((5, points_n * n))
+    rest = rest[5 * points_n * n :]
+    predicted = rest[:n]
+    correction = rest[n : 2 * n]
+    scratch = rest[2 * n : 6 * n]
     for k in range(x.shape[0] - 2, -1, -1):
         if status[k + 1] & (NOT_FINITE_INPUT | DIVERGED):
             for i in range(n):

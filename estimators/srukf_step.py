@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from servohil.estimators.arena import COUNTERS, N_DIVERGED, arena_offsets
 from servohil.estimators.health import DIVERGED, NOT_FINITE_INPUT, WRONG_SIZE
-from servohil.estimators.measurement_update import admit, correct
-from servohil.estimators.sigma_point_update import predict, predict_measurement, propagate
+from servohil.estimators.measurement_update import admit, commit
+from servohil.estimators.sigma_point_pairs import predict_pairs
+from servohil.estimators.sigma_point_update import predict, propagate
 from servohil.estimators.sigma_point_work import OUTER, ROOT_CENTRE, SPREAD, work_offsets
 from servohil.estimators.views import matrix_at, vector_at
 
@@ -61,7 +62,7 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     points = matrix_at(work, w_points, points_n, n)
     outputs = matrix_at(work, w_outputs, points_n, m)
     stack = matrix_at(work, w_stack, points_n + max(n, m), n + m)
-    stages = matrix_at(work, w_stages, 5, n)
+    stages = matrix_at(work, w_stages, 5, points_n * n)
     e = vector_at(work, w_e, m)
     scratch = vector_at(work, w_scratch, n + m)
 
@@ -72,14 +73,12 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
     if not predict(subtract_x, n, points, q, root_centre, outer, stack, scratch, x, factor):
         counters[N_DIVERGED] += 1.0
         return DIVERGED
-    predict_measurement(
+    predict_pairs(
         h, subtract_x, subtract_y, n, m, x, factor, matrix_at(arena, a_r, m, m), spread, root_centre,
         outer, u, p, y, present, points, outputs, stack, vector_at(work, w_y, m), matrix_at(arena, a_s, m, m),
         vector_at(arena, a_innovation, m), e, scratch,
     )  # fmt: skip
-    status, nis, loglik = correct(
-        stack, points_n + m, present, n, m, e, vector_at(work, w_gate, m), counters, x, factor, scratch
-    )
+    status, nis, loglik = commit(stack, present, n, m, e, vector_at(work, w_gate, m), counters, x, factor, scratch)
     for i in range(n):
         arena[a_x + i] = x[i]
     for i in range(n * n):

@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from servohil.estimators.measurement_update import SMALLEST_STD
-from servohil.estimators.triangularise import INDEX, ZERO, _reflect
+from servohil.estimators.triangularise import INDEX, ONE, ZERO, _reflect
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -30,7 +30,7 @@ def triangularise_beside(array: Matrix, rows: int, pivots: int, columns: int) ->
         columns: columns of A and B.
     """
     for k in range(ZERO, INDEX(pivots)):
-        _reflect(array, k, INDEX(rows), INDEX(columns))
+        _reflect(array, k, k + ONE, INDEX(rows), INDEX(columns))
 
 
 @njit(nogil=True, cache=True, error_model="numpy", _nrt=False)

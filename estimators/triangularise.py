@@ -25,15 +25,15 @@ ZERO, ONE, TWO, THREE, FOUR = (INDEX(k) for k in range(5))
 
 
 @njit(nogil=True, cache=True, forceinline=True, error_model="numpy", _nrt=False)
-def _reflect(array: Matrix, k: np.uint64, rows: np.uint64, columns: np.uint64) -> None:
-    """Householder reflection that makes column k zero below the diagonal, diagonal >= 0, for rows k .. rows - 1.
+def _reflect(array: Matrix, k: np.uint64, first: np.uint64, rows: np.uint64, columns: np.uint64) -> None:
+    """Householder reflection that makes column k zero in rows first .. rows - 1, diagonal >= 0; row k takes it all.
 
     Parlett's form keeps the diagonal positive without cancellation. Four columns at a time: their sums stay in
     registers, and the additions of one need not wait for those of another.
     """
     head = array[k, k]
     tail = 0.0
-    for i in range(k + ONE, rows):
+    for i in range(first, rows):
         tail += array[i, k] * array[i, k]
     if tail <= NEGLIGIBLE * head * head or tail < UNDERFLOW:
         if head < 0.0:
@@ -50,7 +50,7 @@ def _reflect(array: Matrix, k: np.uint64, rows: np.uint64, columns: np.uint64) -
         s1 = v * array[k, j + ONE]
         s2 = v * array[k, j + TWO]
         s3 = v * array[k, j + THREE]
-        for i in range(k + ONE, rows):
+        for i in range(first, rows):
             a = array[i, k]
             s0 += a * array[i, j]
             s1 += a * array[i, j + ONE]
@@ -64,7 +64,7 @@ def _reflect(array: Matrix, k: np.uint64, rows: np.uint64, columns: np.uint64) -
         array[k, j + ONE] -= v * s1
         array[k, j + TWO] -= v * s2
         array[k, j + THREE] -= v * s3
-        for i in range(k + ONE, rows):
+        for i in range(first, rows):
             a = array[i, k]
             array[i, j] -= a * s0
             array[i, j + ONE] -= a * s1
@@ -73,11 +73,11 @@ def _reflect(array: Matrix, k: np.uint64, rows: np.uint64, columns: np.uint64) -
     while j > k + ONE:
         j -= ONE
         s0 = v * array[k, j]
-        for i in range(k + ONE, rows):
+        for i in range(first, rows):
             s0 += array[i, k] * array[i, j]
         s0 *= scale
         array[k, j] -= v * s0
-        for i in range(k + ONE, rows):
+        for i in range(first, rows):
             array[i, j] -= array[i, k] * s0
     array[k, k] = norm
 
@@ -95,7 +95,7 @@ def triangularise(array: Matrix, rows: int, columns: int, scratch: Vector) -> No
         scratch: not used.
     """
     for k in range(ZERO, INDEX(columns)):
-        _reflect(array, k, INDEX(rows), INDEX(columns))
+        _reflect(array, k, k + ONE, INDEX(rows), INDEX(columns))
 
 
 @njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
@@ -115,7 +115,22 @@ def triangularise_onto(array: Matrix, rows: int, columns: int, upper: Matrix) ->
         for j in range(ZERO, width):
             array[full + i, j] = upper[i, j] if j >= i else 0.0
     for k in range(ZERO, width):
-        _reflect(array, k, full + k + ONE, width)
+        _reflect(array, k, k + ONE, full + k + ONE, width)
+
+
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
+def triangularise_below(array: Matrix, head: int, size: int) -> None:
+    """`triangularise` of a square whose first `head` rows are upper triangular in their first `head` columns already.
+
+    Args:
+        array: (>= size, >= size), overwritten; its first head rows are not read below the diagonal.
+        head: rows in triangular form.
+        size: rows and columns in use.
+    """
+    top = INDEX(head)
+    width = INDEX(size)
+    for k in range(ZERO, width):
+        _reflect(array, k, max(k + ONE, top), width, width)
 
 
 @njit(nogil=True, cache=True, forceinline=True, error_model="numpy", _nrt=False)

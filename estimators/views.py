@@ -16,18 +16,18 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 
-def vector_at(base: Vector, start: int, size: int) -> Vector:
-    """View of base[start : start + size]."""
-    return base[start : start + size]
+def vector_at(base: Vector | Matrix, start: int, size: int) -> Vector:
+    """View of size elements from start on; the rows of a matrix count as one behind the other."""
+    return base.reshape(-1)[start : start + size]
 
 
-def matrix_at(base: Vector, start: int, rows: int, columns: int) -> Matrix:
+def matrix_at(base: Vector | Matrix, start: int, rows: int, columns: int) -> Matrix:
     """View of rows * columns elements of base from start on as (rows, columns)."""
-    return base[start : start + rows * columns].reshape(rows, columns)
+    return base.reshape(-1)[start : start + rows * columns].reshape(rows, columns)
 
 
 def _view_type(base: Any, dimensions: int) -> Any:
-    flat = isinstance(base, types.Array) and base.ndim == 1 and base.layout == "C" and base.dtype == types.float64
+    flat = isinstance(base, types.Array) and base.layout == "C" and base.dtype == types.float64
     return types.Array(base.dtype, dimensions, "C") if flat else None  # None: numba refuses the call
 
 

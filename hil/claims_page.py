@@ -34,6 +34,33 @@ def claims_table(claims: Iterable[Claim]) -> str:
     return HEAD + "".join(rows)
 
 
+def _emphasised(claim: Claim) -> str:
+    text = value_text(claim.value, claim.unit)
+    return f"**{text}**" if claim.holds is False else text
+
+
+def claims_grid(claims: Iterable[Claim]) -> str:
+    """Claims whose ids differ in their last part only share a row, one column for each last part; ends in a newline.
+
+    A value that breaks its limit is bold; the row gives the limit of its first claim. How they were found stands below,
+    once each: it is the same for many.
+    """
+    rows: dict[str, dict[str, Claim]] = {}
+    for claim in claims:
+        row, _, column = claim.id.rpartition(".")
+        rows.setdefault(row, {})[column] = claim
+    columns = list(dict.fromkeys(column for row in rows.values() for column in row))
+    lines = [f"| claims | {' | '.join(columns)} | limit |\n", f"|---|{'---:|' * len(columns)}---|\n"]
+    found: dict[str, list[str]] = {}
+    for name, of_row in rows.items():
+        first = next(iter(of_row.values()))
+        found.setdefault(first.how, []).append(name)
+        values = [_emphasised(of_row[column]) if column in of_row else "" for column in columns]
+        lines.append("| " + " | ".join(_cell(cell) for cell in (f"`{name}`", *values, first.limit or "")) + " |\n")
+    notes = [f"- {', '.join(f'`{name}`' for name in names)}: {how}\n" for how, names in found.items()]
+    return "".join([*lines, "\n", *notes])
+
+
 def between_markers(page: str, marker: str, text: str, where: str = "page") -> str:
     """`page` with everything between `<!-- begin MARKER -->` and `<!-- end MARKER -->` replaced by `text`.
 

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -286,12 +287,14 @@ def benchmark_adaptation(
 ) -> None:
     """What it costs not to know the noise: adaptive filters beside one that knows."""
     with one_clear_line():
+        from servohil.hil.claims_page import claims_grid
         from servohil.sim_bench.benchmarks.adaptation import adaptation_claims, draw_cold_start
         from servohil.sim_bench.benchmarks.command import run_benchmark
 
         if figure is not None:
             draw_cold_start(figure)
-        holds = run_benchmark("adaptation", load(rig), lambda tick: adaptation_claims(quick, tick), json_path, page)
+        measure = partial(adaptation_claims, quick)
+        holds = run_benchmark("adaptation", load(rig), measure, json_path, page, claims_grid)
     sys.exit(0 if holds else EXIT_REFUSED)
 
 

@@ -15,8 +15,9 @@ Tick = Callable[[int], None]
 
 
 def run_benchmark(
-    name: str, rig: Rig, measure: Callable[[Tick], list[Claim]], json_path: Path | None, page: Path | None
-) -> bool:
+    name: str, rig: Rig, measure: Callable[[Tick], list[Claim]], json_path: Path | None, page: Path | None,
+    table: Callable[[list[Claim]], str] = claims_table,
+) -> bool:  # fmt: skip
     """Measure, show, write; returns whether every claim with a limit holds.
 
     Args:
@@ -25,6 +26,7 @@ def run_benchmark(
         measure: takes the function to call now and then with a growing number, returns the claims.
         json_path: where the results go, or None.
         page: the page to update, or None.
+        table: the claims as Markdown.
     """
     facts = provenance(config_hash=rig.config_hash())
     with Progress(transient=True) as progress:
@@ -39,5 +41,5 @@ def run_benchmark(
         write_claims(json_path, claims, facts)
     if page is not None:
         machine = f"{facts['cpu']}, Linux {facts['kernel']}, Python {facts['python']}, {facts['utc']}"
-        update_page(page, f"benchmark-{name}", f"{machine}\n\n{claims_table(claims)}")
+        update_page(page, f"benchmark-{name}", f"{machine}\n\n{table(claims)}")
     return all(claim.holds is not False for claim in claims)

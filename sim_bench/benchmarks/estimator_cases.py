@@ -27,6 +27,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 PA_PER_MPA: Final = 1e6
+MPA_PER_PA: Final = 1e-6
 LOAD_N: Final = 1e3  # per unit of the state, so that all of them are of order one
 LEAK: Final = 1e-5  # m3/(s MPa) per unit
 PARAMETER_STD: Final = 0.1
@@ -84,10 +85,10 @@ def f_with_parameters(x: Vector, u: Vector, p: Vector, dx: Vector) -> None:
     """`cylinder.f` with x[4:7] as factors of valve gain, friction and bulk modulus, x[7] adding to the load force, and
     x[8:] to the leak coefficients; what f of `srukf_peer.c` computes."""
     position = min(max(x[0], 0.0), p[cylinder.STROKE])
-    supply, tank, ambient = u[1] / PA_PER_MPA, u[2] / PA_PER_MPA, p[cylinder.AMBIENT] / PA_PER_MPA
+    supply, tank, ambient = u[1] * MPA_PER_PA, u[2] * MPA_PER_PA, p[cylinder.AMBIENT] * MPA_PER_PA
     gain = p[cylinder.CS] * 1e3 * x[4]
     friction = p[cylinder.FRICTION] * x[5]
-    bulk = p[cylinder.BULK] / PA_PER_MPA * x[6]
+    bulk = p[cylinder.BULK] * MPA_PER_PA * x[6]
     load = p[cylinder.LOAD] + LOAD_N * x[7]
     internal = (p[cylinder.K_I] * PA_PER_MPA + LEAK * x[8]) * (x[2] - x[3])
     external_a = (p[cylinder.K_EA] * PA_PER_MPA + LEAK * x[9]) * (x[2] - ambient)

@@ -20,8 +20,8 @@ static inline double signed_sqrt(double dp) { return dp / sqrt(sqrt(dp * dp + 1e
 static inline void f(const double *x, const double *u, const double *p, double *dx)
 {
     double position = fmin(fmax(x[0], 0.0), p[STROKE]);
-    double supply = u[1] / 1e6, tank = u[2] / 1e6, ambient = p[AMBIENT] / 1e6;
-    double gain = p[CS] * 1e3, friction = p[FRICTION], bulk = p[BULK] / 1e6, load = p[LOAD];
+    double supply = u[1] * 1e-6, tank = u[2] * 1e-6, ambient = p[AMBIENT] * 1e-6;
+    double gain = p[CS] * 1e3, friction = p[FRICTION], bulk = p[BULK] * 1e-6, load = p[LOAD];
     double leak_i = p[K_I] * 1e6, leak_a = p[K_EA] * 1e6, leak_b = p[K_EB] * 1e6;
 #if N == 11
     gain *= x[4];

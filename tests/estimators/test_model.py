@@ -6,7 +6,7 @@ from hydraulic_bench import model as cylinder_model
 from numba import njit
 from reference_filters import rk4
 
-from servohil.estimators import Model
+from servohil.estimators import Model, integrate
 from servohil.estimators.model import ModelError
 from servohil.estimators.models import cylinder
 
@@ -32,6 +32,26 @@ def test_integrators_against_closed_forms():
     assert make(integrator="euler", substeps=2).advance([1.5], [0.0])[0] == pytest.approx(1.5 * 0.81, rel=1e-15)
     assert make(integrator="discrete").advance([1.5], [1.0])[0] == -2.0
     assert make(integrator="discrete", substeps=2).advance([1.5], [0.0])[0] == 6.0
+
+
+@pytest.mark.parametrize("integrator", [integrate.rk4, integrate.euler, integrate.discrete])
+def test_many_states_at_once_move_as_each_alone_does_bit_for_bit(integrator):
+    @njit
+    def bent(x, u, p, dx):
+        dx[0] = x[1] * u[0]
+        dx[1] = p[0] - x[0] * x[1]
+
+    @njit
+    def move(x, u, p, stages):
+        integrator(bent, 2, 0.1, 3, x, u, p, stages)
+
+    states = np.random.default_rng(0).normal(size=(7, 2))
+    u, p = np.array([1.5]), np.array([0.7])
+    together = states.copy().reshape(-1)
+    move(together, u, p, np.zeros((5, 14)))
+    for row, state in zip(together.reshape(7, 2), states, strict=True):
+        move(state, u, p, np.zeros((5, 2)))
+        np.testing.assert_array_equal(row, state)
 
 
 def test_the_cylinder_agrees_with_plain_runge_kutta():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from servohil.estimators.triangularise import solve_transposed, triangularise, triangularise_onto
+from servohil.estimators.triangularise import solve_transposed, triangularise, triangularise_below, triangularise_onto
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(1, 1), (3, 3), (12, 7), (34, 22)])
@@ -57,6 +57,20 @@ def test_a_triangle_below_gives_what_its_full_rows_give(rows, columns):
     expected = np.linalg.cholesky(above.T @ above + triangle.T @ triangle).T
     np.testing.assert_allclose(np.triu(array[:columns, :columns]), expected, rtol=1e-9, atol=1e-12)
     assert (array[rows + columns :] == 7.0).all() and (array[:, columns:] == 7.0).all()
+
+
+@pytest.mark.parametrize(("head", "size"), [(0, 3), (1, 1), (1, 4), (3, 7), (3, 14), (5, 6)])
+def test_rows_in_triangular_form_give_what_a_decomposition_of_all_gives(head, size):
+    rng = np.random.default_rng(size)
+    square = rng.normal(size=(size, size))
+    square[:head, :head] = np.triu(square[:head, :head])
+    array = np.full((size + 1, size + 2), 7.0)
+    array[:size, :size] = square
+    array[:head, :head][np.tril_indices(head, -1)] = np.nan  # not read
+    triangularise_below(array, head, size)
+    expected = np.linalg.cholesky(square.T @ square).T
+    np.testing.assert_allclose(np.triu(array[:size, :size]), expected, rtol=1e-8, atol=1e-10)
+    assert (array[size:] == 7.0).all() and (array[:, size:] == 7.0).all()
 
 
 def test_forward_substitution():

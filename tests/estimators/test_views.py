@@ -27,12 +27,17 @@ def test_compiled_views_are_the_slices_that_python_gives():
     assert (plain[3:27] != np.arange(3, 27)).all()
 
 
+def test_rows_of_a_matrix_count_as_one_behind_the_other():
+    tall = np.arange(12.0).reshape(4, 3)
+    assert njit(use)(tall.copy(), 1, 2, 3) == pytest.approx(use(tall.copy(), 1, 2, 3))
+
+
 @njit
 def matrix_of(base):
     return matrix_at(base, 0, 2, 2)[0, 0]
 
 
-@pytest.mark.parametrize("base", [np.zeros((2, 2)), np.zeros(8)[::2], np.zeros(4, dtype=np.float32)])
-def test_only_plain_float64_vectors_have_views(base):
+@pytest.mark.parametrize("base", [np.zeros((2, 4))[:, ::2], np.zeros(8)[::2], np.zeros(4, dtype=np.float32)])
+def test_only_contiguous_float64_arrays_have_views(base):
     with pytest.raises(TypingError):
         matrix_of(base)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from servohil.hil.claims import Claim, ClaimError, is_within, read_claims, write_atomically, write_claims
-from servohil.hil.claims_page import between_markers, claims_table, update_page, value_text
+from servohil.hil.claims_page import between_markers, claims_grid, claims_table, update_page, value_text
 
 RMSE = Claim.judge("bench.tracking.rmse", 0.00042, "m", "<= 0.001", "20 s on the bench")
 NO_LIMIT = Claim.judge("bench.cycles", 20000, "1", None, "20 s on the bench")
@@ -209,3 +209,22 @@ def test_page_between_markers(tmp_path: Path) -> None:
 def test_page_with_wrong_markers(page: str, message: str) -> None:
     with pytest.raises(ClaimError, match=message):
         between_markers(page, "bench", "new")
+
+
+def test_a_grid_puts_claims_of_one_row_beside_each_other():
+    claims = [
+        Claim.judge("noise.a.x", 1.0, "1", "<= 1.1", "both rows"),
+        Claim.judge("noise.a.v", 1.5, "1", "<= 1.1", "both rows"),
+        Claim.judge("noise.b.x", None, "1", None, "both rows"),
+        Claim.judge("noise.c.p", 2.0, "bar", None, "the | last"),
+    ]
+    assert claims_grid(claims).splitlines() == [
+        "| claims | x | v | p | limit |",
+        "|---|---:|---:|---:|---|",
+        "| `noise.a` | 1 | **1.5** |  | <= 1.1 |",
+        "| `noise.b` | not measured |  |  |  |",
+        "| `noise.c` |  |  | 2 bar |  |",
+        "",
+        "- `noise.a`, `noise.b`: both rows",
+        "- `noise.c`: the | last",
+    ]
