@@ -33,6 +33,7 @@ class AdaptiveFilter(Filter):
         self._start_r = self._own[start_r:size].reshape(m, m)
         self._start_q[:] = self._q
         self._start_r[:] = self._r
+        self.hold = False
 
     def _reset_own(self) -> None:
         self._own[HOLD + 1 : MEANS + self.model.n + self.model.m] = 0.0
@@ -72,6 +73,10 @@ class AdaptiveFilter(Filter):
     @hold.setter
     def hold(self, value: bool) -> None:
         self._own[HOLD] = 1.0 if value else 0.0
+
+    def restart_noise(self) -> None:
+        """Q and R return to where they started, and what was learned of them is forgotten; the estimate stays."""
+        self._reset_own()
 
     @property
     def noise_updates(self) -> int:

@@ -12,6 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from servohil.estimators.reflection import reflect_four
+
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
@@ -21,15 +23,16 @@ NEGLIGIBLE: Final = 0.0
 UNDERFLOW: Final = 1e-290
 # Unsigned indices: a signed one that the compiler cannot prove to be >= 0 costs a test for counting from the end.
 INDEX: Final = np.uint64
-ZERO, ONE, TWO, THREE, FOUR = (INDEX(k) for k in range(5))
+ZERO, ONE, FOUR = INDEX(0), INDEX(1), INDEX(4)
 
 
 @njit(nogil=True, cache=True, forceinline=True, error_model="numpy", _nrt=False)
 def _reflect(array: Matrix, k: np.uint64, first: np.uint64, rows: np.uint64, columns: np.uint64) -> None:
     """Householder reflection that makes column k zero in rows first .. rows - 1, diagonal >= 0; row k takes it all.
 
-    Parlett's form keeps the diagonal positive without cancellation. Four columns at a time: their sums stay in
-    registers, and the additions of one need not wait for those of another.
+    Parlett's form keeps the diagonal positive without cancellation. Four columns at a time (`reflection.py`); the last
+    four reach back over column k and those before it, below whose diagonals nothing is read any more: cheaper than one
+    column by itself.
     """
     head = array[k, k]
     tail = 0.0
@@ -44,32 +47,9 @@ def _reflect(array: Matrix, k: np.uint64, first: np.uint64, rows: np.uint64, col
     v = head - norm if head <= 0.0 else -tail / (head + norm)
     scale = 2.0 / (v * v + tail)
     j = columns
-    while j > k + FOUR:
+    while j > k + ONE and j >= FOUR:
         j -= FOUR
-        s0 = v * array[k, j]
-        s1 = v * array[k, j + ONE]
-        s2 = v * array[k, j + TWO]
-        s3 = v * array[k, j + THREE]
-        for i in range(first, rows):
-            a = array[i, k]
-            s0 += a * array[i, j]
-            s1 += a * array[i, j + ONE]
-            s2 += a * array[i, j + TWO]
-            s3 += a * array[i, j + THREE]
-        s0 *= scale
-        s1 *= scale
-        s2 *= scale
-        s3 *= scale
-        array[k, j] -= v * s0
-        array[k, j + ONE] -= v * s1
-        array[k, j + TWO] -= v * s2
-        array[k, j + THREE] -= v * s3
-        for i in range(first, rows):
-            a = array[i, k]
-            array[i, j] -= a * s0
-            array[i, j + ONE] -= a * s1
-            array[i, j + TWO] -= a * s2
-            array[i, j + THREE] -= a * s3
+        reflect_four(array, k, j, first, rows, v, scale)
     while j > k + ONE:
         j -= ONE
         s0 = v * array[k, j]

@@ -3,7 +3,7 @@ here.
 """
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from servohil.control.intsmc import IntsmcGains
 from servohil.control.reference import SineProfile, StepProfile
 from servohil.drivers.codec import Codec, DbcError, MessageProtection, load_codec
 from servohil.drivers.dbc import load_messages
-from servohil.estimators import SRUKF, Model
+from servohil.estimators import ASRUKF, SRUKF, Model
 from servohil.estimators.leakage.residual_monitor import ResidualMonitor
 from servohil.estimators.models import cylinder
 from servohil.hil.config import Rig
@@ -102,8 +102,30 @@ def build_model(rig: Rig) -> Model:
     )
 
 
-def build_filter(rig: Rig, arena: NDArray[np.float64]) -> SRUKF:
-    """The SR-UKF with the configured Q and R, living in `arena`."""
+def filter_sizes(rig: Rig) -> dict[str, int]:
+    """Float64 words of the arenas of `build_filter` and `build_twin`; the twin's are 0 where there is none."""
+    n, m = cylinder.N_STATES, cylinder.N_OUTPUTS
+    plain = SRUKF.arena_size(n, m)
+    if rig.estimator.filter == "srukf":
+        return {"filter": plain, "twin": 0}
+    return {"filter": ASRUKF.arena_size(n, m), "twin": plain}
+
+
+def build_filter(rig: Rig, arena: NDArray[np.float64]) -> SRUKF | ASRUKF:
+    """The filter whose estimate the law uses, living in `arena`: its Q and R as configured, or started from there."""
+    if rig.estimator.filter == "srukf":
+        return SRUKF(build_model(rig), arena=arena, **_filter_start(rig))
+    return ASRUKF(build_model(rig), arena=arena, **_filter_start(rig))
+
+
+def build_twin(rig: Rig, arena: NDArray[np.float64]) -> SRUKF | None:
+    """The filter beside an adaptive one whose Q and R stay as configured: adaptation would take a leak for noise."""
+    if rig.estimator.filter == "srukf":
+        return None
+    return SRUKF(build_model(rig), arena=arena, **_filter_start(rig))
+
+
+def _filter_start(rig: Rig) -> dict[str, Any]:
     estimator = rig.estimator
     initial, measured = estimator.initial_std, estimator.measurement_std
     p0 = [
@@ -113,17 +135,15 @@ def build_filter(rig: Rig, arena: NDArray[np.float64]) -> SRUKF:
         initial.pressure_b_pa / PA_PER_MPA,
     ]
     r = [measured.position_m, measured.pressure_a_pa / PA_PER_MPA, measured.pressure_b_pa / PA_PER_MPA]
-    return SRUKF(
-        build_model(rig),
-        x0=np.zeros(cylinder.N_STATES),
-        P0=np.diag(np.square(p0)),
-        Q=process_covariance(rig),
-        R=np.diag(np.square(r)),
-        alpha=estimator.alpha,
-        beta=estimator.beta,
-        kappa=estimator.kappa,
-        arena=arena,
-    )
+    return {
+        "x0": np.zeros(cylinder.N_STATES),
+        "P0": np.diag(np.square(p0)),
+        "Q": process_covariance(rig),
+        "R": np.diag(np.square(r)),
+        "alpha": estimator.alpha,
+        "beta": estimator.beta,
+        "kappa": estimator.kappa,
+    }
 
 
 def build_gains(rig: Rig) -> IntsmcGains:

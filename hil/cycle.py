@@ -12,16 +12,14 @@ from numpy.typing import NDArray
 
 from servohil.control import intsmc
 from servohil.drivers.codec import Kind
-from servohil.estimators import SRUKF
 from servohil.estimators.health import DIVERGED, GATED, NOT_FINITE_INPUT, REPAIRED
 from servohil.estimators.leakage import residual_monitor
-from servohil.estimators.models import cylinder
 from servohil.hil import assemble, events, parameters
 from servohil.hil.arena import Arena
 from servohil.hil.commands import Command, Result
 from servohil.hil.config import Rig
 from servohil.hil.control_word import control_word
-from servohil.hil.estimate_view import EstimateView
+from servohil.hil.estimation import Estimation
 from servohil.hil.events import SensorView
 from servohil.hil.gate import POWER_UP, DeviceState, Event, GateState, gate, gate_limits
 from servohil.hil.inputs import InputsHeader
@@ -72,7 +70,7 @@ class Cycle:
             f8={
                 "motion": Tracking.motion_size(rig),
                 "codec": codec_f8,
-                "filter": SRUKF.arena_size(cylinder.N_STATES, cylinder.N_OUTPUTS),
+                **assemble.filter_sizes(rig),
                 "monitor": residual_monitor.ARENA_SIZE,
                 "law": intsmc.INTSMC_STATE_SIZE,
                 "parameters": parameters.N_PARAMETERS,
@@ -84,12 +82,12 @@ class Cycle:
         self._command_v = self.arena.f8["command"]
         self.codec.attach(self.arena.f8["codec"], self.arena.i8["codec"])
         self.codec.reset()
-        self.filter = assemble.build_filter(rig, self.arena.f8["filter"])
+        self._estimation = Estimation(rig, self.arena.f8)
         self.monitor = assemble.build_monitor(rig, self.arena.f8["monitor"])
         self._reactions = load_reactions(rig.leakage.reaction)
         self._bounds = assemble.build_bounds(rig)
         self._sensing = Sensing(rig, self.codec)
-        self._estimate_view = EstimateView(self.filter)
+        self._estimate_view = self._estimation.view
         self._tracking = Tracking(rig, self.arena.f8["law"], self.arena.f8["motion"])
         self.parameters = parameters.parameter_table(rig)
         self._tunables = self.arena.f8["parameters"]
@@ -100,7 +98,6 @@ class Cycle:
         self.snapshot_bytes = self._record.bytes
         self._residuals = np.zeros(2)
         self._variances = np.ones(2)
-        self._missing = np.full(cylinder.N_OUTPUTS, nan)
         self._command_values = np.zeros(0)
         self.command_id = 0
         if not listen_only:
@@ -169,19 +166,20 @@ class Cycle:
 
     def _estimate(self, complete: bool, skipped: int) -> int:
         """Predict over the past interval and the skipped ones, correct with what came; returns the filter's status."""
-        words, sensing = self._words, self._sensing
+        words, sensing, estimation = self._words, self._sensing, self._estimation
         y, u = sensing.y, sensing.u
         if skipped > LONGEST_PREDICTION:
             words[STARTED] = 0
         if not words[STARTED]:
             if not complete:
                 return 0
-            self.filter.reset(x0=np.array([y[0], 0.0, y[1], y[2]]))
+            estimation.start(y)
             words[STARTED] = 1
             return 0
-        for _ in range(skipped):
-            self.filter.step(u, self._missing)
-        status = int(self.filter.step(u, y))
+        saturated = abs(u[0]) >= self._limits.command_max_v
+        estimation.hold(saturated or words[LEAK_SINCE] >= 0)
+        estimation.predict(u, skipped)
+        status = estimation.step(u, y)
         words[REPAIRS] += (status & FILTER_TROUBLE) != 0
         return status
 
@@ -197,7 +195,9 @@ class Cycle:
             return Command.NONE, result
         if code == Command.ACKNOWLEDGE:
             self.monitor.acknowledge()
-            self._words[LEAK_SINCE] = -1
+            if self._words[LEAK_SINCE] >= 0:
+                self._words[LEAK_SINCE] = -1
+                self._estimation.forget_noise()
             return Command.NONE, Result.ACCEPTED
         if self.listen_only and code in (Command.ENABLE, Command.HOLD):
             return Command.NONE, Result.REFUSED_STATE  # nothing is sent: it must not look as if it were
@@ -239,12 +239,13 @@ class Cycle:
         moving = device == ACTIVE or (self.listen_only and bool(words[STARTED]))
         residuals, variances = self._residuals, self._variances
         if complete and not skipped:
-            self._estimate_view.pressure_residuals(residuals, variances)
+            self._estimation.diagnosis.pressure_residuals(residuals, variances)
         else:
             residuals[:] = nan
         alarm = monitor.step(residuals, variances, moving)
         if alarm and words[LEAK_SINCE] < 0:
             words[LEAK_SINCE] = t_ns
+            self._estimation.forget_noise()
         return bool(alarm)
 
     def _enter(self, cycle: int) -> None:
@@ -291,3 +292,4 @@ class Cycle:
             *self._residuals.tolist(), monitor.threshold_a_pa, monitor.threshold_b_pa, monitor.cusum_a, monitor.cusum_b,
             monitor.cusum_threshold,
         )  # fmt: skip
+        self._estimation.noise(record.noise)

@@ -61,23 +61,39 @@ FIELDS: Final[tuple[tuple[str, str, str, str], ...]] = (
     ("cusum_a", "<f8", "1", "CUSUM statistic of residual A, in standard deviations"),
     ("cusum_b", "<f8", "1", "CUSUM statistic of residual B, in standard deviations"),
     ("cusum_threshold", "<f8", "1", "alarm level of both CUSUM statistics"),
+    ("process_std_position_m", "<f8", "m", "process noise that the filter uses, per millisecond"),
+    ("process_std_velocity_mps", "<f8", "m/s", "process noise that the filter uses, per millisecond"),
+    ("process_std_pressure_a_pa", "<f8", "Pa", "process noise that the filter uses, per millisecond"),
+    ("process_std_pressure_b_pa", "<f8", "Pa", "process noise that the filter uses, per millisecond"),
+    ("measurement_std_position_m", "<f8", "m", "measurement noise that the filter uses"),
+    ("measurement_std_pressure_a_pa", "<f8", "Pa", "measurement noise that the filter uses"),
+    ("measurement_std_pressure_b_pa", "<f8", "Pa", "measurement noise that the filter uses"),
+    ("process_doubt_position", "<f8", "1", "relative standard deviation of that estimate; NaN: not estimated"),
+    ("process_doubt_velocity", "<f8", "1", "relative standard deviation of that estimate; NaN: not estimated"),
+    ("process_doubt_pressure_a", "<f8", "1", "relative standard deviation of that estimate; NaN: not estimated"),
+    ("process_doubt_pressure_b", "<f8", "1", "relative standard deviation of that estimate; NaN: not estimated"),
+    ("measurement_doubt_position", "<f8", "1", "relative standard deviation of that estimate; NaN: not estimated"),
+    ("measurement_doubt_pressure_a", "<f8", "1", "relative standard deviation of that estimate; NaN: not estimated"),
+    ("measurement_doubt_pressure_b", "<f8", "1", "relative standard deviation of that estimate; NaN: not estimated"),
 )
 
-SNAPSHOT_VERSION: Final = 1
+SNAPSHOT_VERSION: Final = 2
 SNAPSHOT = np.dtype([(name, kind) for name, kind, _, _ in FIELDS])
 
 
 class SnapshotRecord:
     """One Snapshot in memory of its own: `row` by field name, and views of its parts for fast writing.
 
-    `integers` (21,), then `measured` (6,), `estimate` (4,), `deviation` (4,) and `rest`, all in the order of FIELDS.
+    `integers` (21,), then `measured` (6,), `estimate` (4,), `deviation` (4,), `rest` and `noise` (14,), all in the
+    order of FIELDS.
     """
 
     def __init__(self) -> None:
         record = np.zeros(1, dtype=SNAPSHOT)
         names = [name for name, _, _, _ in FIELDS]
         n_integers = sum(kind == "<i8" for _, kind, _, _ in FIELDS)
-        estimate, deviation, rest = (names.index(n) for n in ("est_position_m", "std_position_m", "nis"))
+        starts = ("est_position_m", "std_position_m", "nis", "process_std_position_m")
+        estimate, deviation, rest, noise = (names.index(name) for name in starts)
         words = record.view(np.float64)
         self.row: Any = record[0]
         self.bytes: memoryview = record.view(np.uint8).data
@@ -85,4 +101,5 @@ class SnapshotRecord:
         self.measured: NDArray[np.float64] = words[n_integers:estimate]
         self.estimate: NDArray[np.float64] = words[estimate:deviation]
         self.deviation: NDArray[np.float64] = words[deviation:rest]
-        self.rest: NDArray[np.float64] = words[rest:]
+        self.rest: NDArray[np.float64] = words[rest:noise]
+        self.noise: NDArray[np.float64] = words[noise:]

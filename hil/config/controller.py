@@ -34,9 +34,9 @@ class InitialNoise(Section):
 
 
 class Estimator(Section):
-    """[estimator]: the filter, its sigma points and its noise figures."""
+    """[estimator]: the filter, its sigma points and its noise figures, where "asrukf" starts estimating them."""
 
-    filter: Literal["srukf"]
+    filter: Literal["srukf", "asrukf"]
     alpha: Positive
     beta: NonNegative
     kappa: float

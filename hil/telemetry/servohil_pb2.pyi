@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class State(_message.Message):
-    __slots__ = ("cycle", "t_ns", "active_t_ns", "state", "events", "fault", "skipped", "overruns", "lateness_ns", "exec_ns", "rx_frames", "rx_rejected", "tx_failed", "filter_status", "filter_repairs", "leak_alarm", "leak_channel", "leak_since_ns", "command_seq", "command_result", "param_version", "position_m", "pressure_a_pa", "pressure_b_pa", "supply_pa", "tank_pa", "spool_v", "est_position_m", "est_velocity_mps", "est_pressure_a_pa", "est_pressure_b_pa", "std_position_m", "std_velocity_mps", "std_pressure_a_pa", "std_pressure_b_pa", "nis", "ref_position_m", "ref_velocity_mps", "ref_acceleration_mps2", "ref_jerk_mps3", "sliding", "law_v", "command_v", "residual_a_pa", "residual_b_pa", "threshold_a_pa", "threshold_b_pa", "cusum_a", "cusum_b", "cusum_threshold")
+    __slots__ = ("cycle", "t_ns", "active_t_ns", "state", "events", "fault", "skipped", "overruns", "lateness_ns", "exec_ns", "rx_frames", "rx_rejected", "tx_failed", "filter_status", "filter_repairs", "leak_alarm", "leak_channel", "leak_since_ns", "command_seq", "command_result", "param_version", "position_m", "pressure_a_pa", "pressure_b_pa", "supply_pa", "tank_pa", "spool_v", "est_position_m", "est_velocity_mps", "est_pressure_a_pa", "est_pressure_b_pa", "std_position_m", "std_velocity_mps", "std_pressure_a_pa", "std_pressure_b_pa", "nis", "ref_position_m", "ref_velocity_mps", "ref_acceleration_mps2", "ref_jerk_mps3", "sliding", "law_v", "command_v", "residual_a_pa", "residual_b_pa", "threshold_a_pa", "threshold_b_pa", "cusum_a", "cusum_b", "cusum_threshold", "process_std_position_m", "process_std_velocity_mps", "process_std_pressure_a_pa", "process_std_pressure_b_pa", "measurement_std_position_m", "measurement_std_pressure_a_pa", "measurement_std_pressure_b_pa", "process_doubt_position", "process_doubt_velocity", "process_doubt_pressure_a", "process_doubt_pressure_b", "measurement_doubt_position", "measurement_doubt_pressure_a", "measurement_doubt_pressure_b")
     CYCLE_FIELD_NUMBER: _ClassVar[int]
     T_NS_FIELD_NUMBER: _ClassVar[int]
     ACTIVE_T_NS_FIELD_NUMBER: _ClassVar[int]
@@ -59,6 +59,20 @@ class State(_message.Message):
     CUSUM_A_FIELD_NUMBER: _ClassVar[int]
     CUSUM_B_FIELD_NUMBER: _ClassVar[int]
     CUSUM_THRESHOLD_FIELD_NUMBER: _ClassVar[int]
+    PROCESS_STD_POSITION_M_FIELD_NUMBER: _ClassVar[int]
+    PROCESS_STD_VELOCITY_MPS_FIELD_NUMBER: _ClassVar[int]
+    PROCESS_STD_PRESSURE_A_PA_FIELD_NUMBER: _ClassVar[int]
+    PROCESS_STD_PRESSURE_B_PA_FIELD_NUMBER: _ClassVar[int]
+    MEASUREMENT_STD_POSITION_M_FIELD_NUMBER: _ClassVar[int]
+    MEASUREMENT_STD_PRESSURE_A_PA_FIELD_NUMBER: _ClassVar[int]
+    MEASUREMENT_STD_PRESSURE_B_PA_FIELD_NUMBER: _ClassVar[int]
+    PROCESS_DOUBT_POSITION_FIELD_NUMBER: _ClassVar[int]
+    PROCESS_DOUBT_VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    PROCESS_DOUBT_PRESSURE_A_FIELD_NUMBER: _ClassVar[int]
+    PROCESS_DOUBT_PRESSURE_B_FIELD_NUMBER: _ClassVar[int]
+    MEASUREMENT_DOUBT_POSITION_FIELD_NUMBER: _ClassVar[int]
+    MEASUREMENT_DOUBT_PRESSURE_A_FIELD_NUMBER: _ClassVar[int]
+    MEASUREMENT_DOUBT_PRESSURE_B_FIELD_NUMBER: _ClassVar[int]
     cycle: int
     t_ns: int
     active_t_ns: int
@@ -109,7 +123,21 @@ class State(_message.Message):
     cusum_a: float
     cusum_b: float
     cusum_threshold: float
-    def __init__(self, cycle: _Optional[int] = ..., t_ns: _Optional[int] = ..., active_t_ns: _Optional[int] = ..., state: _Optional[int] = ..., events: _Optional[int] = ..., fault: _Optional[int] = ..., skipped: _Optional[int] = ..., overruns: _Optional[int] = ..., lateness_ns: _Optional[int] = ..., exec_ns: _Optional[int] = ..., rx_frames: _Optional[int] = ..., rx_rejected: _Optional[int] = ..., tx_failed: _Optional[int] = ..., filter_status: _Optional[int] = ..., filter_repairs: _Optional[int] = ..., leak_alarm: _Optional[int] = ..., leak_channel: _Optional[int] = ..., leak_since_ns: _Optional[int] = ..., command_seq: _Optional[int] = ..., command_result: _Optional[int] = ..., param_version: _Optional[int] = ..., position_m: _Optional[float] = ..., pressure_a_pa: _Optional[float] = ..., pressure_b_pa: _Optional[float] = ..., supply_pa: _Optional[float] = ..., tank_pa: _Optional[float] = ..., spool_v: _Optional[float] = ..., est_position_m: _Optional[float] = ..., est_velocity_mps: _Optional[float] = ..., est_pressure_a_pa: _Optional[float] = ..., est_pressure_b_pa: _Optional[float] = ..., std_position_m: _Optional[float] = ..., std_velocity_mps: _Optional[float] = ..., std_pressure_a_pa: _Optional[float] = ..., std_pressure_b_pa: _Optional[float] = ..., nis: _Optional[float] = ..., ref_position_m: _Optional[float] = ..., ref_velocity_mps: _Optional[float] = ..., ref_acceleration_mps2: _Optional[float] = ..., ref_jerk_mps3: _Optional[float] = ..., sliding: _Optional[float] = ..., law_v: _Optional[float] = ..., command_v: _Optional[float] = ..., residual_a_pa: _Optional[float] = ..., residual_b_pa: _Optional[float] = ..., threshold_a_pa: _Optional[float] = ..., threshold_b_pa: _Optional[float] = ..., cusum_a: _Optional[float] = ..., cusum_b: _Optional[float] = ..., cusum_threshold: _Optional[float] = ...) -> None: ...
+    process_std_position_m: float
+    process_std_velocity_mps: float
+    process_std_pressure_a_pa: float
+    process_std_pressure_b_pa: float
+    measurement_std_position_m: float
+    measurement_std_pressure_a_pa: float
+    measurement_std_pressure_b_pa: float
+    process_doubt_position: float
+    process_doubt_velocity: float
+    process_doubt_pressure_a: float
+    process_doubt_pressure_b: float
+    measurement_doubt_position: float
+    measurement_doubt_pressure_a: float
+    measurement_doubt_pressure_b: float
+    def __init__(self, cycle: _Optional[int] = ..., t_ns: _Optional[int] = ..., active_t_ns: _Optional[int] = ..., state: _Optional[int] = ..., events: _Optional[int] = ..., fault: _Optional[int] = ..., skipped: _Optional[int] = ..., overruns: _Optional[int] = ..., lateness_ns: _Optional[int] = ..., exec_ns: _Optional[int] = ..., rx_frames: _Optional[int] = ..., rx_rejected: _Optional[int] = ..., tx_failed: _Optional[int] = ..., filter_status: _Optional[int] = ..., filter_repairs: _Optional[int] = ..., leak_alarm: _Optional[int] = ..., leak_channel: _Optional[int] = ..., leak_since_ns: _Optional[int] = ..., command_seq: _Optional[int] = ..., command_result: _Optional[int] = ..., param_version: _Optional[int] = ..., position_m: _Optional[float] = ..., pressure_a_pa: _Optional[float] = ..., pressure_b_pa: _Optional[float] = ..., supply_pa: _Optional[float] = ..., tank_pa: _Optional[float] = ..., spool_v: _Optional[float] = ..., est_position_m: _Optional[float] = ..., est_velocity_mps: _Optional[float] = ..., est_pressure_a_pa: _Optional[float] = ..., est_pressure_b_pa: _Optional[float] = ..., std_position_m: _Optional[float] = ..., std_velocity_mps: _Optional[float] = ..., std_pressure_a_pa: _Optional[float] = ..., std_pressure_b_pa: _Optional[float] = ..., nis: _Optional[float] = ..., ref_position_m: _Optional[float] = ..., ref_velocity_mps: _Optional[float] = ..., ref_acceleration_mps2: _Optional[float] = ..., ref_jerk_mps3: _Optional[float] = ..., sliding: _Optional[float] = ..., law_v: _Optional[float] = ..., command_v: _Optional[float] = ..., residual_a_pa: _Optional[float] = ..., residual_b_pa: _Optional[float] = ..., threshold_a_pa: _Optional[float] = ..., threshold_b_pa: _Optional[float] = ..., cusum_a: _Optional[float] = ..., cusum_b: _Optional[float] = ..., cusum_threshold: _Optional[float] = ..., process_std_position_m: _Optional[float] = ..., process_std_velocity_mps: _Optional[float] = ..., process_std_pressure_a_pa: _Optional[float] = ..., process_std_pressure_b_pa: _Optional[float] = ..., measurement_std_position_m: _Optional[float] = ..., measurement_std_pressure_a_pa: _Optional[float] = ..., measurement_std_pressure_b_pa: _Optional[float] = ..., process_doubt_position: _Optional[float] = ..., process_doubt_velocity: _Optional[float] = ..., process_doubt_pressure_a: _Optional[float] = ..., process_doubt_pressure_b: _Optional[float] = ..., measurement_doubt_position: _Optional[float] = ..., measurement_doubt_pressure_a: _Optional[float] = ..., measurement_doubt_pressure_b: _Optional[float] = ...) -> None: ...
 
 class StateBatch(_message.Message):
     __slots__ = ("seq", "t_unix_ns", "age_ns", "lost", "samples")

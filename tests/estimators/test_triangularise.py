@@ -1,6 +1,8 @@
 import numpy as np
 import pytest
+from numba import njit
 
+from servohil.estimators.reflection import reflect_four
 from servohil.estimators.triangularise import solve_transposed, triangularise, triangularise_below, triangularise_onto
 
 
@@ -71,6 +73,24 @@ def test_rows_in_triangular_form_give_what_a_decomposition_of_all_gives(head, si
     expected = np.linalg.cholesky(square.T @ square).T
     np.testing.assert_allclose(np.triu(array[:size, :size]), expected, rtol=1e-8, atol=1e-10)
     assert (array[size:] == 7.0).all() and (array[:, size:] == 7.0).all()
+
+
+@pytest.mark.parametrize(
+    ("k", "j", "first", "rows"), [(0, 1, 1, 9), (2, 4, 5, 5), (2, 4, 5, 6), (3, 0, 4, 9), (5, 3, 6, 8)]
+)
+def test_four_columns_are_reflected_as_plain_arithmetic_says(k, j, first, rows):
+    rng = np.random.default_rng(rows)
+    array = rng.normal(size=(10, 9))
+    v, column = 1.3, array[:, k].copy()
+    w = np.where((np.arange(10) >= first) & (np.arange(10) < rows), column, 0.0)
+    w[k] = v
+    expected = array.copy()
+    expected[:, j : j + 4] -= 0.7 * np.outer(w, w @ array[:, j : j + 4])
+    plain = array.copy()
+    reflect_four(plain, k, j, first, rows, v, 0.7)
+    njit(lambda a: reflect_four(a, k, j, first, rows, v, 0.7))(array)
+    np.testing.assert_allclose(array, expected, rtol=1e-13, atol=1e-14)
+    np.testing.assert_allclose(plain, expected, rtol=1e-13, atol=1e-14)
 
 
 def test_forward_substitution():

@@ -5,9 +5,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from bench_rig import hil, write_rig
+from numpy.typing import NDArray
 
+from servohil.hil.recording.reader import Cycle, Recording
+from servohil.hil.snapshot import SNAPSHOT
 from servohil.sim_bench.report.score import deterministic_part
 
 
@@ -24,6 +28,60 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[tuple[Path, 
         report = json.loads(path.read_text())
         found.append((Path(report["recording"]).parent, report))
     yield found
+
+
+@pytest.fixture(scope="module")
+def adaptive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """A bench whose filter finds its noise, seed and leak as in `runs`."""
+    folder = tmp_path_factory.mktemp("adaptive")
+    rig = write_rig(folder, {'filter = "srukf"': 'filter = "asrukf"'})
+    path = folder / "report.json"
+    done = hil("bench", rig, "--lockstep", "--duration", 7, "--leak-at", 5, "--seed", 5, "--json", path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    report = json.loads(path.read_text())
+    return Path(report["recording"]), report
+
+
+def snapshots(recording: Path) -> NDArray[Any]:
+    """(cycles,) of SNAPSHOT."""
+    cycles = [item.snapshot for item in Recording(recording).items() if isinstance(item, Cycle)]
+    return np.frombuffer(b"".join(cycles), dtype=SNAPSHOT)
+
+
+def test_an_adaptive_filter_finds_the_noise_and_tracks_better_until_the_leak(
+    adaptive: tuple[Path, dict[str, Any]], runs: list[tuple[Path, dict[str, Any]]]
+) -> None:
+    recording, report = adaptive
+    plain = runs[0][1]
+    # Q and R as configured are several times the node's
+    assert report["tracking"]["rmse_before_leak_m"] < 0.7 * plain["tracking"]["rmse_before_leak_m"]
+    for state, nmse in report["estimation"]["nmse_percent_before_leak"].items():
+        assert nmse < 0.7 * plain["estimation"]["nmse_percent_before_leak"][state], state
+    found = snapshots(recording)
+    before = found[np.flatnonzero(found["leak_alarm"])[0] - 1]
+    truth = {"position_m": 20e-6, "pressure_a_pa": 20e3, "pressure_b_pa": 20e3}  # [plant.sensor_std]
+    for name, std in truth.items():
+        assert before[f"measurement_std_{name}"] == pytest.approx(std, rel=0.25), name
+    for name in ("position", "pressure_a", "pressure_b"):
+        assert 0.0 < before[f"measurement_doubt_{name}"] < 0.2
+
+
+def test_a_leak_is_found_beside_an_adaptive_filter_which_then_goes_back_to_the_configured_noise(
+    adaptive: tuple[Path, dict[str, Any]], runs: list[tuple[Path, dict[str, Any]]]
+) -> None:
+    recording, report = adaptive
+    assert 0.0 < report["leak"]["detected_at_s"] - report["leak"]["injected_at_s"] <= 1.0
+    assert report["leak"]["false_alarms"] == 0
+    assert report["tracking"]["rmse_m"] < 1.5 * runs[0][1]["tracking"]["rmse_m"]
+    found = snapshots(recording)
+    at = np.flatnonzero(found["leak_alarm"])[0]
+    for row in (found[at], found[-1]):
+        np.testing.assert_allclose(row["measurement_std_position_m"], 40e-6, rtol=1e-12)
+        np.testing.assert_allclose(row["process_std_velocity_mps"], 1e-4, rtol=1e-12)
+        assert np.isnan(row["process_doubt_velocity"])
+    done = hil("replay", recording)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert f"{report['cycles']} cycles replayed, every Snapshot bit for bit" in done.stdout
 
 
 def test_report_has_every_figure_and_meets_the_limits(runs: list[tuple[Path, dict[str, Any]]]) -> None:
