@@ -114,7 +114,7 @@ def test_sensitivities_equal_differences_of_a_filter_in_plain_numpy(transform):
     outer = 0.5 / scale
     wm = np.array([1.0 - 4 * outer, *[outer] * 4])
     weights = wm, wm + np.array([1.0 - alpha**2 + beta, 0, 0, 0, 0])
-    count = 300 if transform == "scaled" else 40
+    count = 300  # a shorter motion excites too little: the differences drown in the first steps' rounding
     inputs, samples, _ = arm_motion(count)
     samples[10:14, 1] = NAN
     samples[17:20, 0] = NAN
@@ -163,7 +163,8 @@ def test_sensitivities_on_the_cylinder_equal_differences_of_the_filter():
     found, fields = sensitivities(ukf, inputs, samples)
     plain = srukf()
     plain.run(inputs, samples)
-    assert plain.x.tobytes() == ukf.x.tobytes() and plain.P.tobytes() == ukf.P.tobytes()
+    np.testing.assert_allclose(ukf.x, plain.x, rtol=1e-12)
+    np.testing.assert_allclose(ukf.P, plain.P, rtol=1e-10)
 
     def shifted(j, t):
         p, q, r = HEALTHY.vector(), CYLINDER_Q.copy(), CYLINDER_R.copy()

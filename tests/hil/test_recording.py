@@ -22,7 +22,7 @@ from servohil.hil.recording.layout import About, RecordingError
 from servohil.hil.recording.reader import Checkpoint, Cycle, Event, Gap, Recording, series
 from servohil.hil.recording.tools import info, repair
 from servohil.hil.recording.writer import FLUSH_NS, RecordingWriter
-from servohil.hil.snapshot import SNAPSHOT
+from servohil.hil.snapshot import SNAPSHOT, SNAPSHOT_VERSION
 
 ABOUT = About("fake", 'name = "fake"\n', 'VERSION ""\n', {"seed": "7", "git": "0123abc"})
 
@@ -81,7 +81,7 @@ def test_everything_comes_back_bit_for_bit(tmp_path: Path) -> None:
     assert recording.complete and recording.problem is None
     assert recording.attachments == {"rig.toml": b'name = "fake"\n', "rig.dbc": b'VERSION ""\n'}
     assert recording.metadata["seed"] == "7" and recording.metadata["git"] == "0123abc"
-    assert recording.metadata["rig"] == "fake" and recording.metadata["snapshot_version"] == "1"
+    assert recording.metadata["rig"] == "fake" and recording.metadata["snapshot_version"] == str(SNAPSHOT_VERSION)
     frames = parse(next(i for i in recording.items() if isinstance(i, Cycle)).inputs).frames
     assert frames["id"].tolist() == [0x100 + i for i in range(6)]
 
