@@ -39,6 +39,8 @@ FILE_MAY_IMPORT = {
     "drivers/local_bus.py": {"can"},
     "drivers/open_port.py": {"can"},
     "drivers/python_can_port.py": {"can"},
+    "estimators/reflection.py": {"llvmlite"},
+    "sim_bench/campaign_table.py": {"pyarrow"},
     "sim_bench/benchmarks/filterpy_peer.py": {"filterpy"},  # a peer where installed, else the row says so
 }
 # Inside a function only: `hil run` must work on a rig PC without the simulator.

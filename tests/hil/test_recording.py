@@ -271,8 +271,10 @@ def test_foreign_files_get_one_clear_line(tmp_path: Path) -> None:
         RecordingWriter(tmp_path / "absent" / "x.mcap", ABOUT)
     path.unlink()
     write(path, 10)
-    path.write_bytes(path.read_bytes().replace(b"snapshot_version\x01\0\0\x001", b"snapshot_version\x01\0\0\x009"))
-    with pytest.raises(RecordingError, match=r"snapshot version 9 .* this build has version 1"):
+    now = str(SNAPSHOT_VERSION)
+    named = b"snapshot_version\x01\0\0\0"
+    path.write_bytes(path.read_bytes().replace(named + now.encode(), named + b"9"))
+    with pytest.raises(RecordingError, match=rf"snapshot version 9 .* this build has version {now}"):
         list(Recording(path).items())
 
 
