@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from servohil.hil.command_ring import OperatorCommand
 from servohil.hil.inputs import FRAME_BYTES, HEADER_BYTES
 from servohil.hil.ring import Kind, RingReader, RingWriter, capacity_for
+from servohil.hil.snapshot import SNAPSHOT
 from servohil.hil.ring_file import PAGE, RingError, start_ticks
 
 N_STREAM = 100_000
@@ -277,7 +278,7 @@ def test_commands_cross_in_order_and_are_refused_when_nobody_takes_them(ring: tu
 
 def test_default_capacity_holds_two_seconds(tmp_path: Path) -> None:
     writer = RingWriter(directory=tmp_path)
-    record = bytes(400), bytes(HEADER_BYTES + 24 * FRAME_BYTES)
+    record = bytes(SNAPSHOT.itemsize), bytes(HEADER_BYTES + 24 * FRAME_BYTES)
     assert all(writer.write(Kind.SNAPSHOT, *record) for _ in range(2000))
     assert writer.write_checkpoint(bytes(65536))
     assert 0.9 < writer.fill <= 1.0

@@ -239,7 +239,7 @@ def test_full_disk_ends_the_recording_not_the_telemetry(tmp_path: Path) -> None:
     with FakeRig(tmp_path) as rig:
         rig.ready()
         errors, batches = rig.subscribe("event/error/recording"), rig.subscribe("state")
-        resource.prlimit(rig.telemetry_pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
+        resource.prlimit(rig.telemetry_pid, resource.RLIMIT_FSIZE, (200_000, 200_000))
         until(lambda: errors, "the error event")
         assert "recording.mcap" in json.loads(errors[0].payload.to_bytes())["text"]
         at = len(batches)
