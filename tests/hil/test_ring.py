@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 from servohil.hil.command_ring import OperatorCommand
 from servohil.hil.inputs import FRAME_BYTES, HEADER_BYTES
 from servohil.hil.ring import Kind, RingReader, RingWriter, capacity_for
-from servohil.hil.snapshot import SNAPSHOT
 from servohil.hil.ring_file import PAGE, RingError, start_ticks
+from servohil.hil.snapshot import SNAPSHOT
 
 N_STREAM = 100_000
 
