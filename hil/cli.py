@@ -248,6 +248,23 @@ def observability(rig: Path, json_path: Path | None) -> None:
         click.echo("\n".join(observability_command(load(rig), json_path)))
 
 
+@main.command()
+@click.argument("experiment", metavar="LIST|ID|all")
+@click.option("--runs", type=click.IntRange(1), default=20, show_default=True, help="Seeds per experiment.")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("runs/reproduce"), show_default=True)
+def reproduce(experiment: str, runs: int, out: Path) -> None:
+    """Repeat the papers' experiments: LIST them, one by its ID, or all; a page with tables, figures and verdicts."""
+    with one_clear_line():
+        from servohil.hil.compile_message import say_when_compiling
+        from servohil.sim_bench.experiments.command import list_lines, run_reproduce
+
+        if experiment.lower() == "list":
+            click.echo("\n".join(list_lines()))
+            return
+        say_when_compiling()
+        run_reproduce(experiment, runs, out, click.echo)
+
+
 @main.group()
 def benchmark() -> None:
     """Measure this machine; results in the one format of claims."""

@@ -1,0 +1,125 @@
+"""What an experiment is: its data, the filters that compete, what the paper printed, its claims as checks."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servohil.estimators.filter import Filter
+
+Matrix = NDArray[np.float64]
+
+HOLDS, DOES_NOT_HOLD, NOT_TESTABLE = "holds", "does not hold", "cannot be tested"
+LOST: Final = 100.0  # % NMSE: worse than the mean of the true path
+
+
+class Data(NamedTuple):
+    """One run: inputs (N, n_u), samples (N, m), true states (N, n); variances of both noises, (N, n) and (N, m)."""
+
+    inputs: Matrix
+    samples: Matrix
+    states: Matrix
+    q: Matrix
+    r: Matrix
+
+
+class Result(NamedTuple):
+    """Percent NMSE (runs, n) of one filter: of the whole run, and of its second half."""
+
+    whole: Matrix
+    late: Matrix
+
+    @property
+    def medians(self) -> Matrix:
+        """(n,) over the runs, of the whole."""
+        return np.asarray(np.median(self.whole, axis=0))
+
+    @property
+    def late_medians(self) -> Matrix:
+        """(n,) over the runs, of the second half."""
+        return np.asarray(np.median(self.late, axis=0))
+
+
+Results = Mapping[str, Result]
+
+
+@dataclass(frozen=True)
+class PaperClaim:
+    """A sentence of the paper and the check of it; `check` None: `why` says why it cannot be tested."""
+
+    text: str
+    check: Callable[[Results], bool] | None
+    why: str = ""
+
+    def verdict(self, results: Results) -> str:
+        """One of "holds", "does not hold", "cannot be tested"."""
+        if self.check is None:
+            return NOT_TESTABLE
+        return HOLDS if self.check(results) else DOES_NOT_HOLD
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One table of a paper, to be repeated.
+
+    Attributes:
+        id: e.g. "p1-table2".
+        title: what is estimated under which noise.
+        source: table and figures.
+        states: names of the columns.
+        data: from a generator, one run.
+        filters: by name as on the page; built for each run, compiled once. KNOWS gets the true Q and R of every step.
+        printed: percent NMSE by filter, None where the paper has "NaN".
+        claims: of the paper.
+        notes: what the paper leaves out, and what was chosen.
+    """
+
+    id: str
+    title: str
+    source: str
+    states: tuple[str, ...]
+    data: Callable[[np.random.Generator], Data]
+    filters: Mapping[str, Callable[[], Filter]]
+    printed: Mapping[str, tuple[float | None, ...]]
+    claims: tuple[PaperClaim, ...]
+    notes: tuple[str, ...]
+
+
+KNOWS: Final = "SR-UKF that knows Q and R"
+
+
+def percent_nmse(states: Matrix, estimates: Matrix) -> Matrix:
+    """(n,) 100 sum (x - estimate)^2 / sum (x - mean x)^2: P1 does not define its measure, this is the usual one."""
+    spread = np.square(states - states.mean(axis=0)).sum(axis=0)
+    return np.asarray(100.0 * np.square(states - estimates).sum(axis=0) / spread)
+
+
+def better(name: str, *others: str) -> Callable[[Results], bool]:
+    """Median NMSE of `name` below that of each other, on every state."""
+    return lambda results: all(bool((results[name].medians < results[o].medians).all()) for o in others)
+
+
+def within(factor: float, name: str, *others: str) -> Callable[[Results], bool]:
+    """Median NMSE of each within a factor of that of `name`, on every state."""
+    return lambda results: all(
+        bool((results[o].medians <= factor * results[name].medians).all())
+        and bool((results[name].medians <= factor * results[o].medians).all())
+        for o in others
+    )
+
+
+def lost(name: str) -> Callable[[Results], bool]:
+    """Some state estimated worse than by the mean of its path, in the median run."""
+    return lambda results: bool((results[name].medians > LOST).any())
+
+
+def settled(factor: float, *names: str) -> Callable[[Results], bool]:
+    """In the second half all are within a factor of the best of them, on every state."""
+
+    def check(results: Results) -> bool:
+        late = np.array([results[name].late_medians for name in names])
+        return bool((late <= factor * late.min(axis=0)).all())
+
+    return check

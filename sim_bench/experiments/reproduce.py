@@ -1,0 +1,69 @@
+"""Repeat experiments over many seeds, as one campaign: every run of an experiment is a case of it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+import servohil
+from servohil._compiled_cache import compiled_sources_hash
+from servohil.estimators.filter import Filter
+from servohil.sim_bench.campaign import run_campaign
+from servohil.sim_bench.campaign_table import read_table
+from servohil.sim_bench.experiments.catalogue import CATALOGUE
+from servohil.sim_bench.experiments.experiment import KNOWS, Data, Experiment, Matrix, Result, percent_nmse
+
+SEED: Final = 1
+
+
+def estimates(name: str, one: Filter, data: Data) -> Matrix:
+    """(N, n) of one filter; `KNOWS` is told both covariances of every step."""
+    with np.errstate(all="ignore"):  # what a filter makes of hopeless covariances is a result
+        if name == KNOWS:
+            noise = [np.einsum("ki,ij->kij", variances, np.eye(variances.shape[1])) for variances in (data.q, data.r)]
+            return np.asarray(one.run(data.inputs, data.samples, Q=noise[0], R=noise[1]).x)
+        return np.asarray(one.run(data.inputs, data.samples).x)
+
+
+def run_case(case: dict[str, Any], rng: np.random.Generator) -> list[dict[str, Any]]:
+    """One run: a row for every filter and state with the percent NMSE of the whole run and of its second half."""
+    experiment = CATALOGUE[case["experiment"]]
+    data = experiment.data(rng)
+    half = len(data.states) // 2
+    rows = []
+    for name, build in experiment.filters.items():
+        found = estimates(name, build(), data)
+        whole, late = percent_nmse(data.states, found), percent_nmse(data.states[half:], found[half:])
+        rows += [
+            {"filter": name, "state": state, "nmse": float(whole[i]), "nmse_late": float(late[i])}
+            for i, state in enumerate(experiment.states)
+        ]
+    return rows
+
+
+def reproduce(experiments: Sequence[Experiment], runs: int, folder: Path) -> dict[str, dict[str, Result]]:
+    """Results by experiment and filter; finished runs in `folder` are not run again.
+
+    Raises:
+        CampaignError: see `run_campaign`.
+    """
+    testable = [experiment for experiment in experiments if experiment.filters]
+    cases = [{"experiment": experiment.id, "run": k} for experiment in testable for k in range(runs)]
+    if not cases:
+        return {}
+    version = compiled_sources_hash(Path(servohil.__file__).parent)
+    table = read_table(run_campaign(run_case, cases, folder, seed=SEED, version=version))
+    results: dict[str, dict[str, Result]] = {}
+    for experiment in testable:
+        mine = table["experiment"] == experiment.id
+        results[experiment.id] = {}
+        for name in experiment.filters:
+            rows = mine & (table["filter"] == name)
+            shape = (runs, len(experiment.states))
+            order = np.argsort(table["run"][rows], kind="stable")
+            states = table["state"][rows][order].reshape(shape)
+            columns = [list(states[0]).index(state) for state in experiment.states]
+            whole, late = (table[key][rows][order].reshape(shape)[:, columns] for key in ("nmse", "nmse_late"))
+            results[experiment.id][name] = Result(whole, late)
+    return results
