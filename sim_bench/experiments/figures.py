@@ -31,7 +31,7 @@ def draw(experiment: Experiment, dt_s: float, path: Path) -> None:
     rows = len(experiment.states)
     every = max(1, len(data.states) // POINTS)
     time = dt_s * np.arange(1, len(data.states) + 1)[::every]
-    figure, axes = pyplot.subplots(rows, 2, figsize=(11, 1.7 * rows), sharex=True, layout="constrained")
+    figure, axes = pyplot.subplots(rows, 2, figsize=(11, 1.7 * rows), sharex=True, squeeze=False, layout="constrained")
     for i, (state, (left, right)) in enumerate(zip(experiment.states, axes, strict=True)):
         truth = data.states[::every, i]
         reach = LARGEST_ERROR * max(float(np.std(truth)), 1e-12)
