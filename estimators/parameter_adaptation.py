@@ -1,4 +1,4 @@
-"""From a corrected step to new parameters: residuals, excitation gate, Gauss-Newton step or restart, bounds, Q and R."""
+"""From a corrected step to new parameters: residuals, excitation gate, Gauss-Newton step, bounds, and Q and R."""
 
 from math import exp, isnan, log, sqrt
 from typing import Final
@@ -8,7 +8,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from servohil.estimators.excitation import watch_excitation
-from servohil.estimators.parameter_restart import gather, recentre, restart
 from servohil.estimators.parameter_update import forget, gauss_newton, remember_error
 from servohil.estimators.sensitivity_layout import (
     FORGETTING,
@@ -16,15 +15,12 @@ from servohil.estimators.sensitivity_layout import (
     K_Q,
     LEAST,
     LIKELIHOOD,
-    LIMIT,
     MEMORY,
     WINDOW,
     K,
     own_offsets,
     setting_offsets,
-    window_words,
 )
-from servohil.estimators.triangularise import solve_transposed, triangularise
 from servohil.estimators.views import matrix_at, vector_at
 
 Vector = NDArray[np.float64]
@@ -83,52 +79,12 @@ def scale_variance(noise: Matrix, size: int, entry: int, change: float, lower: f
 
 
 @njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
-def gather_whitened(
-    window: Matrix, k_model: int, jacobian: Matrix, whitened: Vector, present: int, noise: Matrix, noise_rows: int,
-    scratch: Vector,
-) -> None:  # fmt: skip
-    """`gather` of the prediction's residuals and sensitivities, divided by the upper factor of D'D.
-
-    Args:
-        window, k_model: see `gather`.
-        jacobian: (>= present, >= k_model) sensitivities.
-        whitened: (>= present,) residuals.
-        present: of them.
-        noise: (>= noise_rows, >= present) factor D of their covariance, noise_rows >= present.
-        noise_rows: its rows.
-        scratch: (>= noise_rows present + present (k_model + 1) + window_words,) scratch.
-    """
-    root = matrix_at(scratch, 0, noise_rows, present)
-    columns = matrix_at(scratch, noise_rows * present, k_model + 1, present)
-    rest = (noise_rows + k_model + 1) * present
-    for r in range(present):
-        for i in range(noise_rows):
-            root[i, r] = noise[i, r]
-        for j in range(k_model + 1):
-            columns[j, r] = jacobian[r, j] if j < k_model else whitened[r]
-    triangularise(root, noise_rows, present, scratch)
-    for j in range(k_model + 1):
-        solve_transposed(root, present, columns[j])
-    gather(window, k_model, columns, present, vector_at(scratch, rest, scratch.shape[0] - rest))
-
-
-@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
-def move(theta: Vector, settings: Vector, s_rate: int, s_lower: int, s_upper: int, change: Vector) -> None:
-    """Add change, in units of the rates, to the model parameters theta, within bounds; change becomes what was done."""
-    for j in range(theta.shape[0]):
-        before = theta[j]
-        theta[j] = min(max(before + settings[s_rate + j] * change[j], settings[s_lower + j]), settings[s_upper + j])
-        change[j] = (theta[j] - before) / settings[s_rate + j]
-
-
-@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def adapt(
     arena: Vector, start: int, settings: Vector, n: int, m: int, of_state: Matrix, of_outputs: Matrix,
     jacobian: Matrix, rows: int, present: int, y: Vector, innovation: Vector, whitened: Vector, s: Matrix,
     upper: Matrix, q: Matrix, r: Matrix, scratch: Vector,
 ) -> None:  # fmt: skip
-    """Watch the excitation and, unless adaptation is off or nothing was measured, move the parameters: step by step,
-    and at the end of a window, if that refutes them, at once.
+    """Watch the excitation and, unless adaptation is off or nothing was measured, move the parameters.
 
     Args:
         arena: with the filter's own part from `start` on.
@@ -153,10 +109,9 @@ def adapt(
     forgetting = settings[FORGETTING]
     likelihood = settings[LIKELIHOOD] != 0.0
     _, s_place, s_rate, s_lower, s_upper, s_threshold, s_weights, s_largest, _ = setting_offsets(n, m, k, 0)
-    (
-        o_theta, _, _, _, _, _, _, o_covariance, o_error, o_excitation, o_clock, o_held, o_normal, o_restarts,
-        o_adapting, _,
-    ) = own_offsets(n, m, k, k_model, start)  # fmt: skip
+    o_theta, _, _, _, _, _, _, o_covariance, o_error, o_excitation, o_clock, o_held, o_adapting, _ = own_offsets(
+        n, m, k, k_model, start
+    )
     held = vector_at(arena, o_held, k)
     watch_excitation(
         of_state, of_outputs, jacobian, rows, y, vector_at(settings, s_weights, n + m), n, m, k, k_model,
@@ -197,25 +152,17 @@ def adapt(
     forget(covariance, k, forgetting, vector_at(settings, s_largest, k), held)
     seen = matrix_at(scratch, w_seen, k, rows)
     gain = matrix_at(scratch, w_gain, k, rows)
-    theta = vector_at(arena, o_theta, k_model)
-    window = matrix_at(arena, o_normal, k_model, k_model + 1)
-    spare = vector_at(scratch, w_rest + most + wide, k + m * (m + k + 1) + window_words(m, k))
-    if k_model > 0:
-        gather_whitened(window, k_model, jacobian, whitened, present, noise, noise_rows, spare)
     if not gauss_newton(
         jacobian, residuals, rows, noise, noise_rows, k, covariance, held, seen, stack, gain, rest, change
     ):
         return
-    move(theta, settings, s_rate, s_lower, s_upper, change)
-    recentre(window, k_model, change)
-    for j in range(k_model, k):
-        size, factor = (n, q) if j < k_model + k_q else (m, r)
-        entry = int(settings[s_place + j])
-        scale_variance(factor, size, entry, change[j], settings[s_lower + j], settings[s_upper + j])
-    if k_model > 0 and arena[o_clock] == 0.0:
-        variances = vector_at(settings, s_largest, k)
-        if restart(window, k, k_model, held, covariance, variances, settings[LIMIT], spare, change):
-            move(theta, settings, s_rate, s_lower, s_upper, change)
-            arena[o_restarts] += 1.0
-        for i in range(k_model * (k_model + 1)):
-            arena[o_normal + i] = 0.0
+    for j in range(k):
+        lower = settings[s_lower + j]
+        largest = settings[s_upper + j]
+        if j < k_model:
+            moved = arena[o_theta + j] + settings[s_rate + j] * change[j]
+            arena[o_theta + j] = min(max(moved, lower), largest)
+        elif j < k_model + k_q:
+            scale_variance(q, n, int(settings[s_place + j]), change[j], lower, largest)
+        else:
+            scale_variance(r, m, int(settings[s_place + j]), change[j], lower, largest)

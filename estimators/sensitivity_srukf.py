@@ -59,9 +59,6 @@ class SensitivitySRUKF(Filter):
             norm of its whitened sensitivity (5: the window tells it to within 20 %).
         window: steps.
         memory: steps in which the largest excitation fades to 1 / e.
-        restart_limit: where the least squares of one window alone are farther from the model parameters than this root
-            mean square, in standard deviations, these start again from there, with P0_parameters and the window as
-            their covariance: they have jumped. inf: never.
         scale: (k_model,) in which parameters are counted; None: their start's magnitude, 1 where that is 0.
         lower, upper: (k,) bounds in the units of `parameters`, None: none for model parameters and a factor of 1e8 from
             the start for variances.
@@ -93,7 +90,6 @@ class SensitivitySRUKF(Filter):
         least_excitation: float = 1.0,
         window: int = 500,
         memory: float = 1e5,
-        restart_limit: float = 5.0,
         scale: ArrayLike | None = None,
         lower: ArrayLike | None = None,
         upper: ArrayLike | None = None,
@@ -137,8 +133,6 @@ class SensitivitySRUKF(Filter):
         for name, number, least in (("least_excitation", least_excitation, 0.0), ("memory", memory, 2.0)):
             if not isfinite(number) or number < least:
                 raise FilterError(f"{name} = {number!r}: must be finite and >= {least}")
-        if not restart_limit > 0.0:
-            raise FilterError(f"restart_limit = {restart_limit!r}: must be > 0, inf for no restart")
         if isinstance(window, bool) or not isinstance(window, int | np.integer) or window < 1:
             raise FilterError(f"window = {window!r}: must be a whole number of steps >= 1")
         reach = np.concatenate([np.full(k_model, inf), np.full(k - k_model, LARGEST_LOG_CHANGE)])
@@ -149,7 +143,7 @@ class SensitivitySRUKF(Filter):
         work = sigma_point_work(n, m, _weights(transform, n, alpha, beta, kappa), self._gate_limits)
         settings = np.concatenate([
             [k, k_model, k_q, n_p],
-            [forgetting, float(criterion == "likelihood"), window, memory, least_excitation, restart_limit],
+            [forgetting, float(criterion == "likelihood"), window, memory, least_excitation],
             self._index, self._q_entries, self._r_entries, self._rates, low, high,
             positive("threshold", threshold, k), self._excitation_weights(),
             np.sum(np.square(self._covariance0), axis=1),
@@ -158,7 +152,7 @@ class SensitivitySRUKF(Filter):
         scratch = np.zeros(scratch_offsets(n, m, k, n_p, 0)[-1])
         (
             self._theta, self._dx, self._dfactor, self._dy, self._dloglik, self._gain, self._dgain, self._covariance,
-            _, self._excitation, _, self._held, _, self._restarts, self._adapting,
+            _, self._excitation, _, self._held, self._adapting,
         ) = (self.arena[common + a : common + b] for a, b in pairwise(own))  # fmt: skip
         self._adapting[0] = 1.0
         self._build(step, np.concatenate([work, settings, scratch]), integrate_tangents=INTEGRATORS[model.integrator])
@@ -225,12 +219,6 @@ class SensitivitySRUKF(Filter):
     def held(self) -> NDArray[np.bool_]:
         """(k,) True where the excitation was too small in the last step to move the parameter."""
         return self._held != 0.0
-
-    @property
-    def restarts(self) -> int:
-        """How often the parameters have started again since the last reset, see `restart_limit`. Once in a while: a
-        jump. In every window: the model cannot explain the data, whatever its parameters."""
-        return int(self._restarts[0])
 
     @property
     def excitation(self) -> Vector:
