@@ -25,8 +25,15 @@ class Data(NamedTuple):
     r: Matrix
 
 
+class Metric(NamedTuple):
+    """A figure per state, from the true states and the estimates, both (N, n) -> (n,)."""
+
+    name: str
+    of: Callable[[Matrix, Matrix], Matrix]
+
+
 class Result(NamedTuple):
-    """Percent NMSE (runs, n) of one filter: of the whole run, and of its second half."""
+    """The metric (runs, n) of one filter: of the whole run, and of what comes after the start."""
 
     whole: Matrix
     late: Matrix
@@ -38,11 +45,32 @@ class Result(NamedTuple):
 
     @property
     def late_medians(self) -> Matrix:
-        """(n,) over the runs, of the second half."""
+        """(n,) over the runs, of what comes after the start."""
         return np.asarray(np.median(self.late, axis=0))
 
 
 Results = Mapping[str, Result]
+
+
+def percent_nmse(states: Matrix, estimates: Matrix) -> Matrix:
+    """(n,) 100 sum (x - estimate)^2 / sum (x - mean x)^2: P1 does not define its measure, this is the usual one."""
+    spread = np.square(states - states.mean(axis=0)).sum(axis=0)
+    return np.asarray(100.0 * np.square(states - estimates).sum(axis=0) / spread)
+
+
+def rms_error(states: Matrix, estimates: Matrix) -> Matrix:
+    """(n,) root mean square of the error."""
+    return np.asarray(np.sqrt(np.square(states - estimates).mean(axis=0)))
+
+
+def error_std(states: Matrix, estimates: Matrix) -> Matrix:
+    """(n,) standard deviation of the error."""
+    return np.asarray((states - estimates).std(axis=0))
+
+
+NMSE: Final = Metric("% NMSE", percent_nmse)
+RMS: Final = Metric("RMS error", rms_error)
+STD: Final = Metric("standard deviation of the error", error_std)
 
 
 @dataclass(frozen=True)
@@ -71,9 +99,11 @@ class Experiment:
         states: names of the columns.
         data: from a generator, one run.
         filters: by name as on the page; built for each run, compiled once. KNOWS gets the true Q and R of every step.
-        printed: percent NMSE by filter, None where the paper has "NaN".
-        claims: of the paper.
+        printed: the paper's figures by filter, None where it has "NaN".
+        claims: of the paper, and ours that say so.
         notes: what the paper leaves out, and what was chosen.
+        metric: of a run.
+        start: steps left out of the second figure.
     """
 
     id: str
@@ -85,24 +115,20 @@ class Experiment:
     printed: Mapping[str, tuple[float | None, ...]]
     claims: tuple[PaperClaim, ...]
     notes: tuple[str, ...]
+    metric: Metric = NMSE
+    start: int = 3000
 
 
 KNOWS: Final = "SR-UKF that knows Q and R"
 
 
-def percent_nmse(states: Matrix, estimates: Matrix) -> Matrix:
-    """(n,) 100 sum (x - estimate)^2 / sum (x - mean x)^2: P1 does not define its measure, this is the usual one."""
-    spread = np.square(states - states.mean(axis=0)).sum(axis=0)
-    return np.asarray(100.0 * np.square(states - estimates).sum(axis=0) / spread)
-
-
 def better(name: str, *others: str) -> Callable[[Results], bool]:
-    """Median NMSE of `name` below that of each other, on every state."""
+    """Median figure of `name` below that of each other, on every state."""
     return lambda results: all(bool((results[name].medians < results[o].medians).all()) for o in others)
 
 
 def within(factor: float, name: str, *others: str) -> Callable[[Results], bool]:
-    """Median NMSE of each within a factor of that of `name`, on every state."""
+    """Median figure of each within a factor of that of `name`, on every state."""
     return lambda results: all(
         bool((results[o].medians <= factor * results[name].medians).all())
         and bool((results[name].medians <= factor * results[o].medians).all())
@@ -116,10 +142,15 @@ def lost(name: str) -> Callable[[Results], bool]:
 
 
 def settled(factor: float, *names: str) -> Callable[[Results], bool]:
-    """In the second half all are within a factor of the best of them, on every state."""
+    """After the start all are within a factor of the best of them, on every state."""
 
     def check(results: Results) -> bool:
         late = np.array([results[name].late_medians for name in names])
         return bool((late <= factor * late.min(axis=0)).all())
 
     return check
+
+
+def near(factor: float, name: str, least: str) -> Callable[[Results], bool]:
+    """After the start `name` is at most a factor above `least`, on every state."""
+    return lambda results: bool((results[name].late_medians <= factor * results[least].late_medians).all())

@@ -25,7 +25,7 @@ def section(experiment: Experiment, results: Results, figure: str | None) -> str
     lines = [f"## {experiment.id}: {experiment.title}", "", f"{experiment.source}.", ""]
     if results:
         lines += [
-            f"| % NMSE: printed, then median (5 .. 95 %) here | {' | '.join(experiment.states)} |",
+            f"| {experiment.metric.name}: printed / median (5 .. 95 %) here | {' | '.join(experiment.states)} |",
             f"|---|{'---|' * len(experiment.states)}",
         ]
         for name, result in results.items():

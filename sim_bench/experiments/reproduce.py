@@ -12,7 +12,7 @@ from servohil.estimators.filter import Filter
 from servohil.sim_bench.campaign import run_campaign
 from servohil.sim_bench.campaign_table import read_table
 from servohil.sim_bench.experiments.catalogue import CATALOGUE
-from servohil.sim_bench.experiments.experiment import KNOWS, Data, Experiment, Matrix, Result, percent_nmse
+from servohil.sim_bench.experiments.experiment import KNOWS, Data, Experiment, Matrix, Result
 
 SEED: Final = 1
 
@@ -27,16 +27,16 @@ def estimates(name: str, one: Filter, data: Data) -> Matrix:
 
 
 def run_case(case: dict[str, Any], rng: np.random.Generator) -> list[dict[str, Any]]:
-    """One run: a row for every filter and state with the percent NMSE of the whole run and of its second half."""
+    """One run: a row for every filter and state with the metric of the whole run and of what comes after the start."""
     experiment = CATALOGUE[case["experiment"]]
     data = experiment.data(rng)
-    half = len(data.states) // 2
+    start, of = experiment.start, experiment.metric.of
     rows = []
     for name, build in experiment.filters.items():
         found = estimates(name, build(), data)
-        whole, late = percent_nmse(data.states, found), percent_nmse(data.states[half:], found[half:])
+        whole, late = of(data.states, found), of(data.states[start:], found[start:])
         rows += [
-            {"filter": name, "state": state, "nmse": float(whole[i]), "nmse_late": float(late[i])}
+            {"filter": name, "state": state, "whole": float(whole[i]), "late": float(late[i])}
             for i, state in enumerate(experiment.states)
         ]
     return rows
@@ -64,6 +64,6 @@ def reproduce(experiments: Sequence[Experiment], runs: int, folder: Path) -> dic
             order = np.argsort(table["run"][rows], kind="stable")
             states = table["state"][rows][order].reshape(shape)
             columns = [list(states[0]).index(state) for state in experiment.states]
-            whole, late = (table[key][rows][order].reshape(shape)[:, columns] for key in ("nmse", "nmse_late"))
+            whole, late = (table[key][rows][order].reshape(shape)[:, columns] for key in ("whole", "late"))
             results[experiment.id][name] = Result(whole, late)
     return results

@@ -19,8 +19,11 @@ from servohil.sim_bench.experiments.experiment import (
     PaperClaim,
     Result,
     better,
+    error_std,
     lost,
+    near,
     percent_nmse,
+    rms_error,
     settled,
     within,
 )
@@ -64,7 +67,7 @@ TOY = Experiment(
         PaperClaim("not knowing is as good", within(1.1, KNOWS, "wrong")),
         PaperClaim("nobody knows", None, "it is secret"),
     ),
-    ("Everything was chosen.",),
+    ("Everything was chosen.",), start=STEPS // 2,
 )  # fmt: skip
 
 
@@ -109,12 +112,15 @@ def test_figures_of_a_run_are_the_errors_of_its_filters(toy):
         by_hand[k] = one.x[0]
     truth = data.states[:, 0]
     expected = 100.0 * np.sum((truth - by_hand) ** 2) / np.sum((truth - truth.mean()) ** 2)
-    assert rows[0]["filter"] == KNOWS and rows[0]["nmse"] == pytest.approx(expected, rel=1e-9)
+    assert rows[0]["filter"] == KNOWS and rows[0]["whole"] == pytest.approx(expected, rel=1e-9)
     half = truth[STEPS // 2 :]
     late = 100.0 * np.sum((half - by_hand[STEPS // 2 :]) ** 2) / np.sum((half - half.mean()) ** 2)
-    assert rows[0]["nmse_late"] == pytest.approx(late, rel=1e-9)
-    assert rows[1]["filter"] == "wrong" and rows[1]["nmse"] > rows[0]["nmse"]
+    assert rows[0]["late"] == pytest.approx(late, rel=1e-9)
+    assert rows[1]["filter"] == "wrong" and rows[1]["whole"] > rows[0]["whole"]
     assert percent_nmse(data.states, np.full_like(data.states, truth.mean()))[0] == pytest.approx(100.0)
+    shifted = data.states + 3.0
+    assert rms_error(data.states, shifted)[0] == pytest.approx(3.0)
+    assert error_std(data.states, shifted)[0] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_results_do_not_depend_on_what_else_is_run(toy, tmp_path):
@@ -134,6 +140,7 @@ def test_verdicts():
     assert within(2.0, "a", "b")(results) and not within(1.9, "a", "b")(results) and not within(2.0, "c", "a")(results)
     assert lost("c")(results) and not lost("b")(results)
     assert settled(2.0, "a", "b")(results) and not settled(1.9, "a", "b")(results)
+    assert near(2.0, "b", "a")(results) and not near(1.9, "b", "a")(results) and near(1.0, "a", "b")(results)
     assert PaperClaim("x", None, "why").verdict(results) == "cannot be tested"
 
 
@@ -172,4 +179,4 @@ def test_the_likelihood_form_is_near_the_filter_that_knows_wherever_the_noise_ca
     results = reproduce([CATALOGUE[name] for name in names], 5, tmp_path)
     for name in names:
         ratio = results[name]["ASr-UKF, likelihood"].late_medians / results[name][KNOWS].late_medians
-        assert (ratio < 1.1).all(), (name, ratio)
+        assert (ratio <= 1.1).all(), (name, ratio)
