@@ -12,7 +12,10 @@ from servohil.sim_bench.experiments.figures import draw
 from servohil.sim_bench.experiments.page import page
 from servohil.sim_bench.experiments.reproduce import reproduce
 
-PAPERS: Final = {"p1": "P1: adaptive square-root UKF, arm and servo-hydraulic cylinder"}
+PAPERS: Final = {
+    "p1": "P1: adaptive square-root UKF, arm and servo-hydraulic cylinder",
+    "p2": "P2: second-order filters, electro-hydrostatic actuator",
+}
 DT_S: Final = 1e-3
 
 

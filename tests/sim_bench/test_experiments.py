@@ -77,14 +77,14 @@ def toy(monkeypatch):
 
 
 def test_every_printed_table_is_there_and_complete():
-    assert [name for name in CATALOGUE] == [f"p1-table{k}" for k in range(1, 10)]
+    assert list(CATALOGUE) == [*(f"p1-table{k}" for k in range(1, 10)), "p2-table2", "p2-table3"]
     for experiment in CATALOGUE.values():
         assert experiment.claims and experiment.notes
         for name, row in experiment.printed.items():
             assert name in experiment.filters and len(row) == len(experiment.states), (experiment.id, name)
-    # the table's own figures keep the paper's claim
-    printed = {name: Result(np.array([row]), np.array([row])) for name, row in CATALOGUE["p1-table2"].printed.items()}
-    assert CATALOGUE["p1-table2"].claims[0].verdict(printed) == "holds"
+    for name in ("p1-table2", "p2-table2"):  # the paper's own figures keep its claim
+        printed = {key: Result(np.array([row]), np.array([row])) for key, row in CATALOGUE[name].printed.items()}
+        assert CATALOGUE[name].claims[0].verdict(printed) == "holds"
 
 
 @pytest.mark.parametrize("name", ["p1-table2", "p1-table4", "p1-table8"])
