@@ -149,10 +149,13 @@ def test_ctrl_c_ends_a_process_that_listens(waiting: str) -> None:
         f"    {waiting}\n"
     )
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    assert process.stdout.readline() == "listening\n"
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=LONG_S)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "listening\n"
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=LONG_S)
+    finally:
+        process.kill()
     assert process.returncode == -signal.SIGINT
     assert errors.strip().endswith("KeyboardInterrupt")
 
