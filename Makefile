@@ -19,10 +19,10 @@ BENCH_OPTIONS ?=
 bench: setup
 	$(BIN)/hil bench $(BENCH_OPTIONS)
 
-# The filters compile for minutes, on all processors; the rest runs alone, because it keeps time.
+# Filters compile for minutes: on all processors. What starts real processes runs alone, because it keeps time.
 test: setup check
-	$(BIN)/pytest -n 2 --dist loadfile tests/estimators
-	$(BIN)/pytest --ignore=tests/estimators
+	$(BIN)/pytest -n 2 --dist loadfile -m "not nightly and not processes"
+	$(BIN)/pytest -m processes
 
 # Grids and long Monte Carlo that take minutes.
 nightly: setup
