@@ -1,4 +1,4 @@
-"""From a corrected step to new parameters: residuals, excitation gate, Gauss-Newton step, bounds, and Q and R."""
+"""From a corrected step to new parameters: residuals, excitation gate, doubt, Gauss-Newton step, bounds, Q and R."""
 
 from math import exp, isnan, log, sqrt
 from typing import Final
@@ -8,6 +8,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from servohil.estimators.excitation import watch_excitation
+from servohil.estimators.parameter_doubt import gather, recentre, refuted, reopen
 from servohil.estimators.parameter_update import forget, gauss_newton, remember_error
 from servohil.estimators.sensitivity_layout import (
     FORGETTING,
@@ -15,12 +16,15 @@ from servohil.estimators.sensitivity_layout import (
     K_Q,
     LEAST,
     LIKELIHOOD,
+    LIMIT,
     MEMORY,
     WINDOW,
     K,
     own_offsets,
     setting_offsets,
+    window_words,
 )
+from servohil.estimators.triangularise import solve_transposed, triangularise
 from servohil.estimators.views import matrix_at, vector_at
 
 Vector = NDArray[np.float64]
@@ -79,12 +83,88 @@ def scale_variance(noise: Matrix, size: int, entry: int, change: float, lower: f
 
 
 @njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
+def gather_whitened(
+    window: Matrix, k_model: int, jacobian: Matrix, whitened: Vector, present: int, noise: Matrix, noise_rows: int,
+    scratch: Vector,
+) -> None:  # fmt: skip
+    """`gather` of the prediction's residuals and sensitivities, divided by the upper factor of D'D.
+
+    Args:
+        window, k_model: see `gather`.
+        jacobian: (>= present, >= k_model) sensitivities.
+        whitened: (>= present,) residuals.
+        present: of them.
+        noise: (>= noise_rows, >= present) factor D of their covariance, noise_rows >= present.
+        noise_rows: its rows.
+        scratch: (>= noise_rows present + present (k_model + 1) + window_words,) scratch.
+    """
+    root = matrix_at(scratch, 0, noise_rows, present)
+    columns = matrix_at(scratch, noise_rows * present, k_model + 1, present)
+    rest = (noise_rows + k_model + 1) * present
+    for r in range(present):
+        for i in range(noise_rows):
+            root[i, r] = noise[i, r]
+        for j in range(k_model + 1):
+            columns[j, r] = jacobian[r, j] if j < k_model else whitened[r]
+    triangularise(root, noise_rows, present, scratch)
+    for j in range(k_model + 1):
+        solve_transposed(root, present, columns[j])
+    gather(window, k_model, columns, present, vector_at(scratch, rest, scratch.shape[0] - rest))
+
+
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
+def move(theta: Vector, settings: Vector, s_rate: int, s_lower: int, s_upper: int, change: Vector) -> None:
+    """Add change, in units of the rates, to the model parameters theta, within bounds; change becomes what was done."""
+    for j in range(theta.shape[0]):
+        before = theta[j]
+        theta[j] = min(max(before + settings[s_rate + j] * change[j], settings[s_lower + j]), settings[s_upper + j])
+        change[j] = (theta[j] - before) / settings[s_rate + j]
+
+
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
+def doubt(
+    window: Matrix, k: int, k_model: int, held: Vector, covariance: Matrix, settings: Vector, largest: Vector,
+    clock: float, left: Vector, reopened: Vector, scratch: Vector,
+) -> bool:  # fmt: skip
+    """Test the parameters against the window so far. True: they are in doubt, nothing is to move in this step.
+
+    Args:
+        window, k, k_model, held, covariance, largest, scratch: see `parameter_doubt.refuted`.
+        settings: see `adapt`.
+        clock: steps in this window, 0 at its end: the equations start again.
+        left: (1,) steps of doubt left, or, negative, of trust: what follows a reopening is not tested.
+        reopened: (1,) counts.
+    """
+    limit = settings[LIMIT]
+    fresh = left[0] == 0.0 and clock == 0.0
+    if left[0] < 0.0:
+        left[0] += 1.0
+        fresh = left[0] == 0.0
+    elif left[0] > 0.0:
+        left[0] -= 1.0
+        fresh = left[0] == 0.0
+        if fresh and refuted(window, k, k_model, held, covariance, largest, limit, scratch):
+            reopen(window, k, k_model, held, covariance, largest, limit, scratch)
+            reopened[0] += 1.0
+            left[0] = -2.0 * settings[WINDOW]
+    elif refuted(window, k, k_model, held, covariance, largest, limit, scratch):
+        left[0] = settings[WINDOW]
+        fresh = True
+    if fresh:
+        for i in range(k_model):
+            for j in range(k_model + 1):
+                window[i, j] = 0.0
+    return left[0] > 0.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
 def adapt(
     arena: Vector, start: int, settings: Vector, n: int, m: int, of_state: Matrix, of_outputs: Matrix,
     jacobian: Matrix, rows: int, present: int, y: Vector, innovation: Vector, whitened: Vector, s: Matrix,
     upper: Matrix, q: Matrix, r: Matrix, scratch: Vector,
 ) -> None:  # fmt: skip
-    """Watch the excitation and, unless adaptation is off or nothing was measured, move the parameters.
+    """Watch the excitation and, unless adaptation is off or nothing was measured, move the parameters: by a
+    Gauss-Newton step, or not while the window makes them doubtful.
 
     Args:
         arena: with the filter's own part from `start` on.
@@ -109,9 +189,10 @@ def adapt(
     forgetting = settings[FORGETTING]
     likelihood = settings[LIKELIHOOD] != 0.0
     _, s_place, s_rate, s_lower, s_upper, s_threshold, s_weights, s_largest, _ = setting_offsets(n, m, k, 0)
-    o_theta, _, _, _, _, _, _, o_covariance, o_error, o_excitation, o_clock, o_held, o_adapting, _ = own_offsets(
-        n, m, k, k_model, start
-    )
+    (
+        o_theta, _, _, _, _, _, _, o_covariance, o_error, o_excitation, o_clock, o_held, o_normal, o_doubt,
+        o_reopened, o_adapting, _,
+    ) = own_offsets(n, m, k, k_model, start)  # fmt: skip
     held = vector_at(arena, o_held, k)
     watch_excitation(
         of_state, of_outputs, jacobian, rows, y, vector_at(settings, s_weights, n + m), n, m, k, k_model,
@@ -149,20 +230,25 @@ def adapt(
         remember_error(error, m, y, innovation, forgetting, s, stack, rest)
         whiten_error(error, m, y, upper, present, noise)
     covariance = matrix_at(arena, o_covariance, k, k)
-    forget(covariance, k, forgetting, vector_at(settings, s_largest, k), held)
+    largest = vector_at(settings, s_largest, k)
+    theta = vector_at(arena, o_theta, k_model)
+    window = matrix_at(arena, o_normal, k_model, k_model + 1)
+    spare = vector_at(scratch, w_rest + most + wide, k + m * (m + k + 1) + window_words(m, k))
+    if k_model > 0:
+        gather_whitened(window, k_model, jacobian, whitened, present, noise, noise_rows, spare)
+        left, reopened = vector_at(arena, o_doubt, 1), vector_at(arena, o_reopened, 1)
+        if doubt(window, k, k_model, held, covariance, settings, largest, arena[o_clock], left, reopened, spare):
+            return
+    forget(covariance, k, forgetting, largest)
     seen = matrix_at(scratch, w_seen, k, rows)
     gain = matrix_at(scratch, w_gain, k, rows)
     if not gauss_newton(
         jacobian, residuals, rows, noise, noise_rows, k, covariance, held, seen, stack, gain, rest, change
     ):
         return
-    for j in range(k):
-        lower = settings[s_lower + j]
-        largest = settings[s_upper + j]
-        if j < k_model:
-            moved = arena[o_theta + j] + settings[s_rate + j] * change[j]
-            arena[o_theta + j] = min(max(moved, lower), largest)
-        elif j < k_model + k_q:
-            scale_variance(q, n, int(settings[s_place + j]), change[j], lower, largest)
-        else:
-            scale_variance(r, m, int(settings[s_place + j]), change[j], lower, largest)
+    move(theta, settings, s_rate, s_lower, s_upper, change)
+    recentre(window, k_model, change)
+    for j in range(k_model, k):
+        size, factor = (n, q) if j < k_model + k_q else (m, r)
+        entry = int(settings[s_place + j])
+        scale_variance(factor, size, entry, change[j], settings[s_lower + j], settings[s_upper + j])

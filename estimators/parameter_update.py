@@ -6,7 +6,8 @@ With whitened sensitivities J of the prediction and residuals r the step is the 
     Theta+ = (I - L J) Theta (I - L J)' / lambda + L D'D L',   theta+ = theta + L r,
 
 by QR of square roots, so that Theta stays positive definite whatever L is. A parameter that is held has no row in L and
-no column in J and forgets nothing; its correlation with the others is kept (Schmidt's consider form).
+no column in J: it stays where it is, while its variance grows as that of the others does; its correlation with them is
+kept (Schmidt's consider form).
 """
 
 from math import sqrt
@@ -28,26 +29,25 @@ LARGEST_RESIDUAL: Final = 5.0
 
 
 @njit(nogil=True, cache=True, error_model="numpy", _nrt=False)
-def forget(covariance: Matrix, k: int, forgetting: float, largest: Vector, held: Vector) -> None:
-    """Divide the covariance of the active parameters by the forgetting factor, up to their largest variance.
+def forget(covariance: Matrix, k: int, forgetting: float, largest: Vector) -> None:
+    """Divide the covariance of the parameters by the forgetting factor, up to their largest variance, also where they
+    are held: nobody watches those.
 
     Args:
         covariance: (k, k) transposed lower factor, its columns scaled in place.
         k: number of parameters.
         forgetting: 0 < factor <= 1.
         largest: (k,) variance beyond which nothing is forgotten: what no data tell is known as well as at the start.
-        held: (k,) 1 = held.
     """
     for j in range(k):
-        if held[j] == 0.0:
-            variance = 0.0
-            for i in range(k):
-                variance += covariance[i, j] * covariance[i, j]
-            scale = 1.0 / sqrt(forgetting)
-            if variance * scale * scale > largest[j]:
-                scale = sqrt(largest[j] / variance)
-            for i in range(k):
-                covariance[i, j] *= scale
+        variance = 0.0
+        for i in range(k):
+            variance += covariance[i, j] * covariance[i, j]
+        scale = 1.0 / sqrt(forgetting)
+        if variance * scale * scale > largest[j]:
+            scale = sqrt(largest[j] / variance)
+        for i in range(k):
+            covariance[i, j] *= scale
 
 
 @njit(nogil=True, cache=True, error_model="numpy", _nrt=False)

@@ -10,8 +10,8 @@ from typing import Final
 from numba.extending import register_jitable
 
 # Settings, at the start of the filter's part of `work`.
-SETTINGS: Final = 9
-K, K_MODEL, K_Q, N_PARAMETERS, FORGETTING, LIKELIHOOD, WINDOW, MEMORY, LEAST = range(SETTINGS)
+SETTINGS: Final = 10
+K, K_MODEL, K_Q, N_PARAMETERS, FORGETTING, LIKELIHOOD, WINDOW, MEMORY, LEAST, LIMIT = range(SETTINGS)
 
 
 @register_jitable
@@ -19,7 +19,8 @@ def own_offsets(n: int, m: int, k: int, k_model: int, start: int) -> tuple[int, 
     """Starts, from `start` on, of model parameters (k_model), dx (k, n), transposed lower factor's derivative
     (k, n, n), dy (k, m), d loglik (k), gain (n, m), d gain (k, n, m), transposed lower factor of the parameters'
     covariance (k, k), the same of the prediction error's (m, m), sums of the excitation (4, k),
-    steps in this window, held (k), adapting; then the end."""
+    steps in this window, held (k), normal equations of this window (k_model, k_model + 1), steps left in doubt,
+    reopenings, adapting; then the end."""
     dx = start + k_model
     dfactor = dx + k * n
     dy = dfactor + k * n * n
@@ -31,9 +32,14 @@ def own_offsets(n: int, m: int, k: int, k_model: int, start: int) -> tuple[int, 
     excitation = error + m * m
     clock = excitation + 4 * k
     held = clock + 1
-    adapting = held + k
-    end = adapting + 1
-    return start, dx, dfactor, dy, dloglik, gain, dgain, covariance, error, excitation, clock, held, adapting, end
+    normal = held + k
+    doubt = normal + k_model * (k_model + 1)
+    reopened = doubt + 1
+    adapting = reopened + 1
+    return (
+        start, dx, dfactor, dy, dloglik, gain, dgain, covariance, error, excitation, clock, held, normal, doubt,
+        reopened, adapting, adapting + 1,
+    )  # fmt: skip
 
 
 @register_jitable
@@ -79,7 +85,15 @@ def scratch_offsets(n: int, m: int, k: int, n_p: int, start: int) -> tuple[int, 
 
 @register_jitable
 def update_words(m: int, k: int) -> int:
-    """Scratch of `parameter_adaptation.adapt`: noise, stack, two (k, rows) arrays, change, residuals, two rows."""
+    """Scratch of `parameter_adaptation.adapt`: noise, stack, two (k, rows) arrays, change, residuals, two rows, and the
+    window's."""
     rows = m + m * (m + 1) // 2
     wide = max(rows, k)
-    return rows * rows + (rows + k) * wide + 2 * k * rows + k + rows + rows + wide
+    gauss_newton = rows * rows + (rows + k) * wide + 2 * k * rows + k + rows + rows + wide
+    return gauss_newton + k + m * (m + 1) + k * m + window_words(m, k)
+
+
+@register_jitable
+def window_words(m: int, k: int) -> int:
+    """Scratch of `parameter_doubt`."""
+    return max((k + m) * (k + 1), 2 * k * (k + 1) + 2 * k + 2 * k * k)

@@ -59,6 +59,10 @@ class SensitivitySRUKF(Filter):
             norm of its whitened sensitivity (5: the window tells it to within 20 %).
         window: steps.
         memory: steps in which the largest excitation fades to 1 / e.
+        doubt: model parameters that explain a window, or the part of it so far, better by more than doubt^2 for each
+            of them if they may move as far as at the start, must have jumped. Nothing moves for one window then, and
+            those that explain it get their initial variance back; for the next two windows they are trusted. The
+            initial variance should cover the jump. inf: never.
         scale: (k_model,) in which parameters are counted; None: their start's magnitude, 1 where that is 0.
         lower, upper: (k,) bounds in the units of `parameters`, None: none for model parameters and a factor of 1e8 from
             the start for variances.
@@ -90,6 +94,7 @@ class SensitivitySRUKF(Filter):
         least_excitation: float = 1.0,
         window: int = 500,
         memory: float = 1e5,
+        doubt: float = 5.0,
         scale: ArrayLike | None = None,
         lower: ArrayLike | None = None,
         upper: ArrayLike | None = None,
@@ -133,6 +138,8 @@ class SensitivitySRUKF(Filter):
         for name, number, least in (("least_excitation", least_excitation, 0.0), ("memory", memory, 2.0)):
             if not isfinite(number) or number < least:
                 raise FilterError(f"{name} = {number!r}: must be finite and >= {least}")
+        if not doubt > 0.0:
+            raise FilterError(f"doubt = {doubt!r}: must be > 0, inf for no restart")
         if isinstance(window, bool) or not isinstance(window, int | np.integer) or window < 1:
             raise FilterError(f"window = {window!r}: must be a whole number of steps >= 1")
         reach = np.concatenate([np.full(k_model, inf), np.full(k - k_model, LARGEST_LOG_CHANGE)])
@@ -143,7 +150,7 @@ class SensitivitySRUKF(Filter):
         work = sigma_point_work(n, m, _weights(transform, n, alpha, beta, kappa), self._gate_limits)
         settings = np.concatenate([
             [k, k_model, k_q, n_p],
-            [forgetting, float(criterion == "likelihood"), window, memory, least_excitation],
+            [forgetting, float(criterion == "likelihood"), window, memory, least_excitation, doubt],
             self._index, self._q_entries, self._r_entries, self._rates, low, high,
             positive("threshold", threshold, k), self._excitation_weights(),
             np.sum(np.square(self._covariance0), axis=1),
@@ -152,7 +159,7 @@ class SensitivitySRUKF(Filter):
         scratch = np.zeros(scratch_offsets(n, m, k, n_p, 0)[-1])
         (
             self._theta, self._dx, self._dfactor, self._dy, self._dloglik, self._gain, self._dgain, self._covariance,
-            _, self._excitation, _, self._held, self._adapting,
+            _, self._excitation, _, self._held, _, self._doubt, self._reopened, self._adapting,
         ) = (self.arena[common + a : common + b] for a, b in pairwise(own))  # fmt: skip
         self._adapting[0] = 1.0
         self._build(step, np.concatenate([work, settings, scratch]), integrate_tangents=INTEGRATORS[model.integrator])
@@ -219,6 +226,12 @@ class SensitivitySRUKF(Filter):
     def held(self) -> NDArray[np.bool_]:
         """(k,) True where the excitation was too small in the last step to move the parameter."""
         return self._held != 0.0
+
+    @property
+    def reopened(self) -> int:
+        """How often parameters got their initial variance back since the last reset, see `doubt`. Once in a while: a
+        jump. Again and again: the model cannot explain the data, whatever its parameters."""
+        return int(self._reopened[0])
 
     @property
     def excitation(self) -> Vector:

@@ -45,7 +45,7 @@ def begin(arena: Vector, work: Vector, p: Vector, n: int, m: int) -> None:
     n_p = int(work[w_own + N_PARAMETERS])
     _, s_place, _, _, _, _, _, _, s_end = setting_offsets(n, m, k, w_own)
     t_p, t_scales, t_points, _, t_tangents, _, _, _, _, _, _, _, _ = scratch_offsets(n, m, k, n_p, s_end)
-    o_theta, o_dx, o_dfactor, _, _, _, _, _, _, _, _, _, _, _ = own_offsets(n, m, k, k_model, a_own)
+    o_theta, o_dx, o_dfactor = own_offsets(n, m, k, k_model, a_own)[:3]
     last = 2 * n + 1
     for i in range(n_p):
         work[t_p + i] = p[i]
@@ -117,7 +117,7 @@ def measurement_tangents(arena: Vector, work: Vector, y: Vector, present: int, n
     _, s_place, _, _, _, _, _, _, s_end = setting_offsets(n, m, k, w_own)
     places = scratch_offsets(n, m, k, int(work[w_own + N_PARAMETERS]), s_end)
     _, _, _, _, t_tangents, t_outputs, _, t_array, t_dx, _, _, _, _ = places
-    _, _, _, o_dy, _, _, _, _, _, _, _, _, _, _ = own_offsets(n, m, k, k_model, a_own)
+    o_dy = own_offsets(n, m, k, k_model, a_own)[3]
     points_n = 2 * n + 1
     width = present + n
     root_centre = work[ROOT_CENTRE]
@@ -157,7 +157,7 @@ def finish(arena: Vector, work: Vector, y: Vector, present: int, n: int, m: int)
     s_end = setting_offsets(n, m, k, w_own)[-1]
     places = scratch_offsets(n, m, k, int(work[w_own + N_PARAMETERS]), s_end)
     _, _, _, _, t_tangents, t_outputs, t_differences, t_array, t_dx, t_dfactor, t_jacobian, t_update, t_end = places
-    _, o_dx, _, o_dy, o_dloglik, o_gain, o_dgain, o_covariance, _, _, _, _, _, _ = own_offsets(n, m, k, k_model, a_own)
+    _, o_dx, _, o_dy, o_dloglik, o_gain, o_dgain, o_covariance = own_offsets(n, m, k, k_model, a_own)[:8]
     counters = vector_at(arena, a_counters, COUNTERS)
     x = vector_at(work, w_x, n)
     factor = matrix_at(work, w_factor, n, n)

@@ -2,11 +2,12 @@
 
 from typing import Final
 
-from servohil.sim_bench.experiments import p1_arm, p1_cylinder, p2_eha
+from servohil.sim_bench.experiments import p1_arm, p1_cylinder, p2_eha, p4_one_link
 from servohil.sim_bench.experiments.experiment import Experiment
 
 CATALOGUE: Final[dict[str, Experiment]] = {
-    experiment.id: experiment for experiment in (*p1_arm.EXPERIMENTS, *p1_cylinder.EXPERIMENTS, *p2_eha.EXPERIMENTS)
+    experiment.id: experiment
+    for experiment in (*p1_arm.EXPERIMENTS, *p1_cylinder.EXPERIMENTS, *p2_eha.EXPERIMENTS, *p4_one_link.EXPERIMENTS)
 }
 
 

@@ -16,7 +16,9 @@ LOST: Final = 100.0  # % NMSE: worse than the mean of the true path
 
 
 class Data(NamedTuple):
-    """One run: inputs (N, n_u), samples (N, m), true states (N, n); variances of both noises, (N, n) and (N, m)."""
+    """One run: inputs (N, n_u), samples (N, m), true states (N, n) or whatever is estimated; variances of both noises,
+    (N, n) and (N, m), for a filter that knows them.
+    """
 
     inputs: Matrix
     samples: Matrix
@@ -88,6 +90,11 @@ class PaperClaim:
         return HOLDS if self.check(results) else DOES_NOT_HOLD
 
 
+def estimated_states(one: Filter, data: Data) -> Matrix:
+    """(N, n) estimates of a filter."""
+    return np.asarray(one.run(data.inputs, data.samples).x)
+
+
 @dataclass(frozen=True)
 class Experiment:
     """One table of a paper, to be repeated.
@@ -104,6 +111,7 @@ class Experiment:
         notes: what the paper leaves out, and what was chosen.
         metric: of a run.
         start: steps left out of the second figure.
+        track: (N, n) what is compared with `Data.states`.
     """
 
     id: str
@@ -117,6 +125,7 @@ class Experiment:
     notes: tuple[str, ...]
     metric: Metric = NMSE
     start: int = 3000
+    track: Callable[[Filter, Data], Matrix] = estimated_states
 
 
 KNOWS: Final = "SR-UKF that knows Q and R"

@@ -27,7 +27,7 @@ def draw(experiment: Experiment, dt_s: float, path: Path) -> None:
 
     data = experiment.data(np.random.default_rng(0))
     shown = [name for name in SHOWN if name in experiment.filters] or list(experiment.filters)
-    found = {name: estimates(name, experiment.filters[name](), data) for name in shown}
+    found = {name: estimates(experiment, name, data) for name in shown}
     rows = len(experiment.states)
     every = max(1, len(data.states) // POINTS)
     time = dt_s * np.arange(1, len(data.states) + 1)[::every]

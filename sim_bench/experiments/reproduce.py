@@ -8,7 +8,6 @@ import numpy as np
 
 import servohil
 from servohil._compiled_cache import compiled_sources_hash
-from servohil.estimators.filter import Filter
 from servohil.sim_bench.campaign import run_campaign
 from servohil.sim_bench.campaign_table import read_table
 from servohil.sim_bench.experiments.catalogue import CATALOGUE
@@ -17,13 +16,14 @@ from servohil.sim_bench.experiments.experiment import KNOWS, Data, Experiment, M
 SEED: Final = 1
 
 
-def estimates(name: str, one: Filter, data: Data) -> Matrix:
+def estimates(experiment: Experiment, name: str, data: Data) -> Matrix:
     """(N, n) of one filter; `KNOWS` is told both covariances of every step."""
+    one = experiment.filters[name]()
     with np.errstate(all="ignore"):  # what a filter makes of hopeless covariances is a result
         if name == KNOWS:
             noise = [np.einsum("ki,ij->kij", variances, np.eye(variances.shape[1])) for variances in (data.q, data.r)]
             return np.asarray(one.run(data.inputs, data.samples, Q=noise[0], R=noise[1]).x)
-        return np.asarray(one.run(data.inputs, data.samples).x)
+        return experiment.track(one, data)
 
 
 def run_case(case: dict[str, Any], rng: np.random.Generator) -> list[dict[str, Any]]:
@@ -32,8 +32,8 @@ def run_case(case: dict[str, Any], rng: np.random.Generator) -> list[dict[str, A
     data = experiment.data(rng)
     start, of = experiment.start, experiment.metric.of
     rows = []
-    for name, build in experiment.filters.items():
-        found = estimates(name, build(), data)
+    for name in experiment.filters:
+        found = estimates(experiment, name, data)
         whole, late = of(data.states, found), of(data.states[start:], found[start:])
         rows += [
             {"filter": name, "state": state, "whole": float(whole[i]), "late": float(late[i])}

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from servohil.estimators.excitation import watch_excitation
+from servohil.estimators.parameter_doubt import gather, recentre, refuted, reopen
 from servohil.estimators.parameter_update import LARGEST_RESIDUAL, forget, gauss_newton, remember_error
 
 
@@ -74,14 +75,57 @@ def test_meaningless_numbers_change_nothing(residuals):
     assert not update(np.zeros((2, 2)), np.ones(2), np.zeros((2, 2)), theta, np.zeros(2))[0]
 
 
-def test_forgetting_stops_at_the_largest_variance_and_spares_what_is_held():
+def test_forgetting_stops_at_the_largest_variance():
     covariance = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, 0.2], [0.1, 0.2, 3.0]])
     factor = np.linalg.cholesky(covariance).T.copy()
-    forget(factor, 3, 0.8, np.array([100.0, 1.1, 100.0]), np.array([0.0, 0.0, 1.0]))
+    forget(factor, 3, 0.8, np.array([100.0, 1.1, 100.0]))
     found = factor.T @ factor
-    np.testing.assert_allclose(np.diag(found), [2.5, 1.1, 3.0])
+    np.testing.assert_allclose(np.diag(found), [2.5, 1.1, 3.75])
     scale = np.sqrt(np.diag(found) / np.diag(covariance))
     np.testing.assert_allclose(found, covariance * np.outer(scale, scale))
+
+
+def gathered(rng, wrong, moved):
+    """[R, z] of 40 samples of three parameters that are wrong by `wrong`, then moved."""
+    window, jacobian = np.zeros((3, 4)), rng.normal(size=(40, 3))
+    residuals = jacobian @ wrong + rng.normal(size=40)
+    for a in range(0, 40, 2):
+        columns = np.vstack([jacobian[a : a + 2].T, residuals[a : a + 2]])
+        gather(window, 3, columns, 2, np.zeros(20))
+    recentre(window, 3, moved)
+    return window, jacobian, residuals - jacobian @ moved
+
+
+def test_window_in_doubt_equals_least_squares():
+    rng = np.random.default_rng(5)
+    window, jacobian, residuals = gathered(rng, np.array([0.0, 0.3, 0.0]), np.array([0.1, 0.0, 0.0]))
+    root = np.triu(0.05 * rng.normal(size=(4, 4)))
+    theta, largest = root.T @ root, np.array([4.0, 1.0, 2.0, 1.0])
+    np.testing.assert_allclose(window[:, :3].T @ window[:, :3], jacobian.T @ jacobian, rtol=1e-10)
+    np.testing.assert_allclose(window[:, :3].T @ window[:, 3], jacobian.T @ residuals, rtol=1e-9, atol=1e-10)
+    for held in (np.zeros(4), np.array([0.0, 0.0, 1.0, 0.0])):
+        on = held[:3] == 0.0
+
+        def cost(variances, on=on):
+            seen = jacobian[:, on]
+            return residuals @ np.linalg.solve(np.eye(40) + seen * variances[:3][on] @ seen.T, residuals)
+
+        limit = np.sqrt((cost(np.diag(theta)) - cost(largest)) / on.sum())
+        for factor, expected in ((0.999, True), (1.001, False)):
+            assert refuted(window, 4, 3, held, root.copy(), largest, factor * limit, np.zeros(100)) == expected
+
+
+def test_only_what_explains_a_jump_is_reopened():
+    rng = np.random.default_rng(6)
+    window, _, _ = gathered(rng, np.array([0.0, 3.0, 0.0]), np.zeros(3))
+    root = np.triu(0.03 * rng.normal(size=(4, 4))) + 0.03 * np.eye(4)
+    theta, largest = root.T @ root, np.array([4.0, 1.0, 2.0, 1.0])
+    factor = root.copy()
+    reopen(window, 4, 3, np.zeros(4), factor, largest, 3.0, np.zeros(100))
+    expected = theta.copy()
+    expected[1], expected[:, 1] = 0.0, 0.0
+    expected[1, 1] = 1.0
+    np.testing.assert_allclose(factor.T @ factor, expected, atol=1e-15)
 
 
 def test_mean_of_the_prediction_errors_follows_p4_and_leaves_missing_channels():

@@ -32,6 +32,7 @@ from servohil.sim_bench.experiments.page import page
 from servohil.sim_bench.experiments.reproduce import reproduce, run_case
 
 DT = 0.01
+P4 = ("p4-one-link", "p4-one-link-held")
 
 
 def f(x, u, p, out):
@@ -77,7 +78,7 @@ def toy(monkeypatch):
 
 
 def test_every_printed_table_is_there_and_complete():
-    assert list(CATALOGUE) == [*(f"p1-table{k}" for k in range(1, 10)), "p2-table2", "p2-table3"]
+    assert list(CATALOGUE) == [*(f"p1-table{k}" for k in range(1, 10)), "p2-table2", "p2-table3", *P4]
     for experiment in CATALOGUE.values():
         assert experiment.claims and experiment.notes
         for name, row in experiment.printed.items():
