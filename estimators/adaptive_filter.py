@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from servohil.estimators.adaptive_layout import HOLD, MEANS, N_UPDATES, Q_FALLBACKS, R_FALLBACKS, adaptive_offsets
 from servohil.estimators.arena import arena_offsets
 from servohil.estimators.filter import Filter, FilterError
 from servohil.estimators.model import Model
+from servohil.estimators.noise.adaptive_layout import HOLD, MEANS, N_UPDATES, Q_FALLBACKS, R_FALLBACKS, adaptive_offsets
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from servohil.estimators.adaptive_filter import AdaptiveFilter, checked_forgetting
-from servohil.estimators.ekf_step import step
 from servohil.estimators.filter import FilterError
-from servohil.estimators.linear_work import linear_work
+from servohil.estimators.linear.ekf_step import step
+from servohil.estimators.linear.linear_work import linear_work
 from servohil.estimators.model import Model
 
 Vector = NDArray[np.float64]

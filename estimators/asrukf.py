@@ -6,20 +6,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from servohil.estimators.adaptive_filter import AdaptiveFilter, checked_forgetting
-from servohil.estimators.adaptive_layout import adaptive_offsets
-from servohil.estimators.asrukf_likelihood_step import step as likelihood_step
 from servohil.estimators.covariance import lower_factor
 from servohil.estimators.filter import FilterError, state_vector
 from servohil.estimators.model import Model
-from servohil.estimators.noise_adaptation import limited_settings, sage_husa_settings
-from servohil.estimators.noise_estimator import NoiseEstimator, first_variances
-from servohil.estimators.noise_layout import room_size
-from servohil.estimators.sigma_point_step import form_work
-from servohil.estimators.sigma_point_step import step as form_step
-from servohil.estimators.sigma_point_work import sigma_point_work
-from servohil.estimators.sigma_points import scaled_weights
-from servohil.estimators.srukf_forms import factor_array, reduce_array
-from servohil.estimators.srukf_step import step
+from servohil.estimators.noise.adaptive_layout import adaptive_offsets
+from servohil.estimators.noise.asrukf_likelihood_step import step as likelihood_step
+from servohil.estimators.noise.noise_adaptation import limited_settings, sage_husa_settings
+from servohil.estimators.noise.noise_estimator import NoiseEstimator, first_variances
+from servohil.estimators.noise.noise_layout import room_size
+from servohil.estimators.sigma_point.sigma_point_step import form_work
+from servohil.estimators.sigma_point.sigma_point_step import step as form_step
+from servohil.estimators.sigma_point.sigma_point_work import sigma_point_work
+from servohil.estimators.sigma_point.sigma_points import scaled_weights
+from servohil.estimators.sigma_point.srukf_forms import factor_array, reduce_array
+from servohil.estimators.sigma_point.srukf_step import step
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

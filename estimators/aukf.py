@@ -8,10 +8,10 @@ from numpy.typing import ArrayLike, NDArray
 from servohil.estimators.adaptive_filter import AdaptiveFilter, checked_forgetting
 from servohil.estimators.filter import FilterError
 from servohil.estimators.model import Model
-from servohil.estimators.noise_adaptation import sage_husa_settings
-from servohil.estimators.sigma_point_step import form_work, step
-from servohil.estimators.sigma_points import scaled_weights
-from servohil.estimators.ukf_step import factor_covariance, reduce_covariance
+from servohil.estimators.noise.noise_adaptation import sage_husa_settings
+from servohil.estimators.sigma_point.sigma_point_step import form_work, step
+from servohil.estimators.sigma_point.sigma_points import scaled_weights
+from servohil.estimators.sigma_point.ukf_step import factor_covariance, reduce_covariance
 
 Vector = NDArray[np.float64]
 

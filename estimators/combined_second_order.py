@@ -6,10 +6,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from servohil.estimators.arena import arena_offsets
-from servohil.estimators.combined_second_order_step import OPTIMAL, combined_offsets, combined_work_offsets, step
 from servohil.estimators.filter import Filter, state_vector
-from servohil.estimators.luenberger import check_hidden_decay, split_states
-from servohil.estimators.luenberger_work import SECOND_ORDER, ManifoldError, luenberger_work, manifold_parameter
+from servohil.estimators.manifold.combined_second_order_step import (
+    OPTIMAL,
+    combined_offsets,
+    combined_work_offsets,
+    step,
+)
+from servohil.estimators.manifold.luenberger import check_hidden_decay, split_states
+from servohil.estimators.manifold.luenberger_work import (
+    SECOND_ORDER,
+    ManifoldError,
+    luenberger_work,
+    manifold_parameter,
+)
 from servohil.estimators.model import Model
 
 Vector = NDArray[np.float64]

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from servohil.estimators.views import vector_at
+from servohil.estimators.linear_algebra.views import vector_at
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

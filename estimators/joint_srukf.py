@@ -7,9 +7,9 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from servohil.estimators.covariance import lower_factor
-from servohil.estimators.estimated_parameters import covariance_of, places, scales_of
 from servohil.estimators.filter import FilterError, noise_factor, state_vector
 from servohil.estimators.model import Model, difference
+from servohil.estimators.sensitivity.estimated_parameters import covariance_of, places, scales_of
 from servohil.estimators.srukf import SRUKF
 
 Vector = NDArray[np.float64]

@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from servohil.estimators.affine import affine_parts
 from servohil.estimators.arena import arena_offsets
 from servohil.estimators.filter import Filter
-from servohil.estimators.kf_step import step
-from servohil.estimators.linear_work import linear_work, linear_work_offsets
+from servohil.estimators.linear.affine import affine_parts
+from servohil.estimators.linear.kf_step import step
+from servohil.estimators.linear.linear_work import linear_work, linear_work_offsets
 from servohil.estimators.model import Model
 
 Vector = NDArray[np.float64]

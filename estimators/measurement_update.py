@@ -25,8 +25,8 @@ from servohil.estimators.arena import (
     SINCE_FULL,
 )
 from servohil.estimators.health import GATE_PATIENCE, GATED, MISSING, OK, REPAIRED
-from servohil.estimators.triangularise import solve_transposed, triangularise
-from servohil.estimators.views import vector_at
+from servohil.estimators.linear_algebra.triangularise import solve_transposed, triangularise
+from servohil.estimators.linear_algebra.views import vector_at
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -21,9 +21,9 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 from numpy.typing import ArrayLike, NDArray
 
+from servohil.estimators.compilation.specialise import specialise
 from servohil.estimators.integrate import INTEGRATORS, STAGES, discrete, euler, rk4
-from servohil.estimators.specialise import specialise
-from servohil.estimators.views import matrix_at
+from servohil.estimators.linear_algebra.views import matrix_at
 
 Vector = NDArray[np.float64]
 ModelFunction = Callable[[Vector, Vector, Vector, Vector], None]

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from servohil.estimators.integrate import STAGES
-from servohil.estimators.jet import Jet
+from servohil.estimators.jets.jet import Jet
+from servohil.estimators.jets.on_jets import on_jets
 from servohil.estimators.model import VECTOR, Model
-from servohil.estimators.on_jets import on_jets
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

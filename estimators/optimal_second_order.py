@@ -7,10 +7,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from servohil.estimators.arena import arena_offsets
 from servohil.estimators.filter import Filter
-from servohil.estimators.linear_work import linear_work
-from servohil.estimators.luenberger_work import manifold_parameter
+from servohil.estimators.linear.linear_work import linear_work
+from servohil.estimators.manifold.luenberger_work import manifold_parameter
+from servohil.estimators.manifold.optimal_second_order_step import step
 from servohil.estimators.model import Model
-from servohil.estimators.optimal_second_order_step import step
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -5,12 +5,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from servohil.estimators.affine import affine_parts
 from servohil.estimators.arena import arena_offsets
 from servohil.estimators.filter import Filter, FilterError
-from servohil.estimators.linear_work import linear_work, linear_work_offsets
+from servohil.estimators.linear.affine import affine_parts
+from servohil.estimators.linear.linear_work import linear_work, linear_work_offsets
+from servohil.estimators.linear.robust_step import ON_OUTPUT, ON_STATE, SIZE_I, SIZE_J, robust_work_offsets, step
 from servohil.estimators.model import Model
-from servohil.estimators.robust_step import ON_OUTPUT, ON_STATE, SIZE_I, SIZE_J, robust_work_offsets, step
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -5,10 +5,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from servohil.estimators.arena import arena_offsets
 from servohil.estimators.filter import Filter
-from servohil.estimators.luenberger import check_hidden_decay, split_states
-from servohil.estimators.luenberger_work import SECOND_ORDER, luenberger_work, manifold_parameter
-from servohil.estimators.manifold_step import step
-from servohil.estimators.manifold_update import memory_size
+from servohil.estimators.manifold.luenberger import check_hidden_decay, split_states
+from servohil.estimators.manifold.luenberger_work import SECOND_ORDER, luenberger_work, manifold_parameter
+from servohil.estimators.manifold.manifold_step import step
+from servohil.estimators.manifold.manifold_update import memory_size
 from servohil.estimators.model import Model
 
 Vector = NDArray[np.float64]

@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from servohil.estimators.arena import arena_offsets
 from servohil.estimators.covariance import lower_factor
-from servohil.estimators.estimated_parameters import bounds, covariance_of, places, positive, scales_of
 from servohil.estimators.filter import Filter, FilterError
 from servohil.estimators.model import Model
-from servohil.estimators.sensitivity_layout import own_offsets, scratch_offsets, setting_offsets
-from servohil.estimators.sensitivity_step import step
-from servohil.estimators.sigma_point_work import sigma_point_work
-from servohil.estimators.sigma_points import Weights, scaled_weights
-from servohil.estimators.tangent_model import tangent_discrete, tangent_euler, tangent_rk4
+from servohil.estimators.sensitivity.estimated_parameters import bounds, covariance_of, places, positive, scales_of
+from servohil.estimators.sensitivity.sensitivity_layout import own_offsets, scratch_offsets, setting_offsets
+from servohil.estimators.sensitivity.sensitivity_step import step
+from servohil.estimators.sensitivity.tangent_model import tangent_discrete, tangent_euler, tangent_rk4
+from servohil.estimators.sigma_point.sigma_point_work import sigma_point_work
+from servohil.estimators.sigma_point.sigma_points import Weights, scaled_weights
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -23,11 +23,11 @@ from numpy.typing import ArrayLike, NDArray
 from servohil.estimators.arena import arena_offsets
 from servohil.estimators.filter import Filter, FilterError
 from servohil.estimators.health import DIVERGED, NOT_FINITE_INPUT
+from servohil.estimators.linear_algebra.triangularise import triangularise
 from servohil.estimators.model import VECTOR
-from servohil.estimators.sigma_point_update import propagate
-from servohil.estimators.sigma_points import mean, scaled_weights
+from servohil.estimators.sigma_point.sigma_point_update import propagate
+from servohil.estimators.sigma_point.sigma_points import mean, scaled_weights
 from servohil.estimators.trajectory import ROWS, STEP_TYPE
-from servohil.estimators.triangularise import triangularise
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -8,12 +8,12 @@ from numpy.typing import ArrayLike, NDArray
 from servohil.estimators.arena import arena_offsets
 from servohil.estimators.filter import Filter, FilterError
 from servohil.estimators.model import Model
-from servohil.estimators.sigma_point_step import form_work
-from servohil.estimators.sigma_point_step import step as form_step
-from servohil.estimators.sigma_point_work import sigma_point_work
-from servohil.estimators.sigma_points import scaled_weights
-from servohil.estimators.srukf_step import step
-from servohil.estimators.srukf_vdm_step import factor_vdm, reduce_vdm
+from servohil.estimators.sigma_point.sigma_point_step import form_work
+from servohil.estimators.sigma_point.sigma_point_step import step as form_step
+from servohil.estimators.sigma_point.sigma_point_work import sigma_point_work
+from servohil.estimators.sigma_point.sigma_points import scaled_weights
+from servohil.estimators.sigma_point.srukf_step import step
+from servohil.estimators.sigma_point.srukf_vdm_step import factor_vdm, reduce_vdm
 
 Vector = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ from numpy.typing import ArrayLike, NDArray
 from servohil.estimators.arena import arena_offsets
 from servohil.estimators.filter import Filter
 from servohil.estimators.model import Model
-from servohil.estimators.sigma_point_step import form_work, step
-from servohil.estimators.sigma_points import scaled_weights
-from servohil.estimators.ukf_step import factor_covariance, reduce_covariance
+from servohil.estimators.sigma_point.sigma_point_step import form_work, step
+from servohil.estimators.sigma_point.sigma_points import scaled_weights
+from servohil.estimators.sigma_point.ukf_step import factor_covariance, reduce_covariance
 
 Vector = NDArray[np.float64]
 

@@ -18,6 +18,6 @@ def compile_message(name: str) -> Iterator[None]:
 
 def say_when_compiling() -> None:
     """From now on. Imports numba, as the command that needs it is about to do anyway."""
-    from servohil.estimators import specialise
+    from servohil.estimators.compilation import specialise
 
     specialise.on_compile = compile_message

@@ -39,7 +39,7 @@ FILE_MAY_IMPORT = {
     "drivers/local_bus.py": {"can"},
     "drivers/open_port.py": {"can"},
     "drivers/python_can_port.py": {"can"},
-    "estimators/reflection.py": {"llvmlite"},
+    "estimators/linear_algebra/reflection.py": {"llvmlite"},
     "sim_bench/campaign_table.py": {"pyarrow"},
     "sim_bench/benchmarks/filterpy_peer.py": {"filterpy"},  # a peer where installed, else the row says so
 }
@@ -53,7 +53,7 @@ IMPURE = {
 IMPURE_CALLS = {"open", "print", "input", "breakpoint"}
 PURE_FILE_MAY_IMPORT = {
     # Writes the specialised step functions beside numba's cache when a filter is built, never while it runs.
-    "estimators/specialise.py": {"os", "pathlib", "tempfile"},
+    "estimators/compilation/specialise.py": {"os", "pathlib", "tempfile"},
 }
 
 

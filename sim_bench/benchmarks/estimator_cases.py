@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from servohil.estimators import SRUKF, Model
 from servohil.estimators.models import cylinder
 from servohil.estimators.models.cylinder import signed_sqrt
-from servohil.estimators.sigma_points import Weights, scaled_weights
+from servohil.estimators.sigma_point.sigma_points import Weights, scaled_weights
 from servohil.sim_bench.noise_scenarios import (
     DT_S,
     P0,

@@ -143,8 +143,8 @@ NOTES: Final = (
     "Shorter than in P4: 4 s of motion, 3 s held, 5 s of motion. Ours: the loop that moves the arm, g = 9.81, the "
     "start of the angle, P0, the initial covariance of the parameters (their start, as a standard deviation), bounds, "
     "thresholds of the gate, what the joint filter's parameters walk (1e-4 of their start per step).",
-    "While the arm is held, the noise that its controller follows excites 1/J and Coulomb friction a little; P4 says so "
-    "of the latter.",
+    "While the arm is held, the noise that its controller follows excites 1/J and Coulomb friction a little; P4 says "
+    "so of the latter.",
 )
 EXPERIMENTS: Final = (
     Experiment(

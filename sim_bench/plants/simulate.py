@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from servohil.estimators.integrate import STAGES
+from servohil.estimators.linear_algebra.views import matrix_at
 from servohil.estimators.model import VECTOR, Model
-from servohil.estimators.views import matrix_at
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -9,7 +9,7 @@ from reference_filters import adaptive_unscented
 from servohil.estimators.aukf import AUKF
 from servohil.estimators.health import Status
 from servohil.estimators.models import cylinder
-from servohil.estimators.sage_husa import fading_gain
+from servohil.estimators.noise.sage_husa import fading_gain
 from servohil.estimators.ukf import UKF
 
 NAN = float("nan")

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from servohil.estimators.cholesky import cholesky, downdate, update
+from servohil.estimators.linear_algebra.cholesky import cholesky, downdate, update
 
 
 def covariance(size, seed, spread=0.0):

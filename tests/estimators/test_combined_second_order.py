@@ -25,8 +25,8 @@ from second_order_bench import (
 )
 
 from servohil.estimators.combined_second_order import CombinedSecondOrderFilter
-from servohil.estimators.combined_second_order_step import DYNAMIC, OPTIMAL, switch_mode
 from servohil.estimators.health import Status
+from servohil.estimators.manifold.combined_second_order_step import DYNAMIC, OPTIMAL, switch_mode
 from servohil.estimators.second_order import SecondOrderFilter
 
 NAN = float("nan")

@@ -12,7 +12,7 @@ from servohil.estimators import Model
 from servohil.estimators.aekf import AEKF
 from servohil.estimators.ekf import EKF
 from servohil.estimators.health import Status
-from servohil.estimators.linear_work import linear_work_offsets
+from servohil.estimators.linear.linear_work import linear_work_offsets
 from servohil.estimators.models import cylinder
 
 NAN = float("nan")

@@ -6,8 +6,8 @@ import pytest
 from numba import njit
 from scipy.special import erf
 
-from servohil.estimators.jet import FUNCTIONS, Jet
-from servohil.estimators.on_jets import on_jets
+from servohil.estimators.jets.jet import FUNCTIONS, Jet
+from servohil.estimators.jets.on_jets import on_jets
 
 ORDER, N = 6, 2
 RADIUS = 0.25

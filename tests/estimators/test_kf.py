@@ -12,9 +12,9 @@ from numba.core.runtime import _nrt_python, rtsys
 from reference_filters import kalman, linear_f, linear_h
 
 from servohil.estimators import Model
-from servohil.estimators.affine import affine_parts
 from servohil.estimators.health import Status
 from servohil.estimators.kf import KF
+from servohil.estimators.linear.affine import affine_parts
 from servohil.estimators.models import cylinder, eha
 
 NAN = float("nan")

@@ -2,8 +2,14 @@ import numpy as np
 import pytest
 
 from servohil.estimators import Model
-from servohil.estimators.luenberger import StructureError, check_hidden_decay, hidden_errors, split_states, transform
-from servohil.estimators.pseudo_inverse import invert, pseudo_inverse
+from servohil.estimators.linear_algebra.pseudo_inverse import invert, pseudo_inverse
+from servohil.estimators.manifold.luenberger import (
+    StructureError,
+    check_hidden_decay,
+    hidden_errors,
+    split_states,
+    transform,
+)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from servohil.estimators.noise_window import lane_count, regress, window_step
+from servohil.estimators.noise.noise_window import lane_count, regress, window_step
 
 N, M, STEPS = 4, 3, 60
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from servohil.estimators.excitation import watch_excitation
-from servohil.estimators.parameter_doubt import gather, recentre, refuted, reopen
-from servohil.estimators.parameter_update import LARGEST_RESIDUAL, forget, gauss_newton, remember_error
+from servohil.estimators.sensitivity.excitation import watch_excitation
+from servohil.estimators.sensitivity.parameter_doubt import gather, recentre, refuted, reopen
+from servohil.estimators.sensitivity.parameter_update import LARGEST_RESIDUAL, forget, gauss_newton, remember_error
 
 
 def update(jacobian, residuals, noise, covariance, held):

@@ -3,9 +3,16 @@
 import numpy as np
 import pytest
 
-from servohil.estimators.adaptive_layout import MEANS, N_UPDATES, N_USABLE, Q_FALLBACKS, R_FALLBACKS, adaptive_offsets
-from servohil.estimators.limited_sage_husa import THETA, limited_sage_husa
-from servohil.estimators.sage_husa import LARGEST_GAIN, fading_gain, sage_husa
+from servohil.estimators.noise.adaptive_layout import (
+    MEANS,
+    N_UPDATES,
+    N_USABLE,
+    Q_FALLBACKS,
+    R_FALLBACKS,
+    adaptive_offsets,
+)
+from servohil.estimators.noise.limited_sage_husa import THETA, limited_sage_husa
+from servohil.estimators.noise.sage_husa import LARGEST_GAIN, fading_gain, sage_husa
 
 N, M = 4, 3
 

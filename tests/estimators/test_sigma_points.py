@@ -3,7 +3,7 @@ import pytest
 from numba import njit
 
 from servohil.estimators.model import difference
-from servohil.estimators.sigma_points import SigmaPointError, draw, mean, scaled_weights
+from servohil.estimators.sigma_point.sigma_points import SigmaPointError, draw, mean, scaled_weights
 
 subtract = njit(difference)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from servohil.estimators.fingerprint import NotIdentifiableError, fingerprint
+from servohil.estimators.compilation.fingerprint import NotIdentifiableError, fingerprint
 
 MODEL = """
 from constants import RATE

@@ -5,8 +5,8 @@ import pytest
 from numba import njit
 
 from servohil.estimators.integrate import discrete, rk4
-from servohil.estimators.tangent import differentiate_factor, divide_by_factor, triangularise_beside
-from servohil.estimators.tangent_model import state_scales, tangent_discrete, tangent_rk4
+from servohil.estimators.sensitivity.tangent import differentiate_factor, divide_by_factor, triangularise_beside
+from servohil.estimators.sensitivity.tangent_model import state_scales, tangent_discrete, tangent_rk4
 
 
 def derivative_of_factor(a, da):

@@ -2,8 +2,13 @@ import numpy as np
 import pytest
 from numba import njit
 
-from servohil.estimators.reflection import reflect_four
-from servohil.estimators.triangularise import solve_transposed, triangularise, triangularise_below, triangularise_onto
+from servohil.estimators.linear_algebra.reflection import reflect_four
+from servohil.estimators.linear_algebra.triangularise import (
+    solve_transposed,
+    triangularise,
+    triangularise_below,
+    triangularise_onto,
+)
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(1, 1), (3, 3), (12, 7), (34, 22)])

@@ -12,10 +12,10 @@ from reference_filters import rk4, unscented
 from servohil.estimators import SRUKF, Model
 from servohil.estimators.health import Status
 from servohil.estimators.models import cylinder
-from servohil.estimators.srukf_forms import factor_array, reduce_array
-from servohil.estimators.srukf_vdm_step import factor_vdm, reduce_vdm
+from servohil.estimators.sigma_point.srukf_forms import factor_array, reduce_array
+from servohil.estimators.sigma_point.srukf_vdm_step import factor_vdm, reduce_vdm
+from servohil.estimators.sigma_point.ukf_step import factor_covariance, reduce_covariance
 from servohil.estimators.ukf import UKF
-from servohil.estimators.ukf_step import factor_covariance, reduce_covariance
 
 NAN = float("nan")
 Q, R = np.diag(PROCESS_STD**2), np.diag(MEASUREMENT_STD**2)

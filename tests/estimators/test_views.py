@@ -3,7 +3,7 @@ import pytest
 from numba import njit
 from numba.core.errors import TypingError
 
-from servohil.estimators.views import matrix_at, vector_at
+from servohil.estimators.linear_algebra.views import matrix_at, vector_at
 
 
 def use(base, start, rows, columns):

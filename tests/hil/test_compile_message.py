@@ -8,7 +8,7 @@ import uuid
 import pytest
 from click.testing import CliRunner
 
-from servohil.estimators import specialise
+from servohil.estimators.compilation import specialise
 from servohil.hil.cli import DEFAULT_RIG, load, main
 from servohil.hil.compile_message import compile_message
 

@@ -1,0 +1,1 @@
+"""Compiled steps under a hash of all they refer to."""

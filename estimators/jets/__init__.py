@@ -1,0 +1,1 @@
+"""Truncated Taylor series through a user's model."""

@@ -1,0 +1,1 @@
+"""Compiled steps of the linear and linearised filters."""

@@ -1,0 +1,1 @@
+"""QR, triangular solves, rank-one updates, views."""

@@ -1,0 +1,1 @@
+"""Noise covariances from the innovations: the likelihood of a window, Sage-Husa's form, the limited one."""

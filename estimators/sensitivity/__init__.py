@@ -1,0 +1,1 @@
+"""Derivatives of the whole filter, and parameters moved along them (P4)."""

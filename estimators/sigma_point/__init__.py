@@ -1,0 +1,1 @@
+"""Sigma points and the compiled steps of the filters that use them."""
