@@ -2,7 +2,7 @@
 
 The estimate is that of `srukf_step.step`, with all points in one stack instead of pairs. Beside it every sigma point
 carries its derivative with respect to every estimated quantity, and the two QR decompositions theirs (`tangent.py`).
-With the parameters left alone the derivatives are those of the whole filter since its start, Q, R and the gain included.
+With the parameters left alone the derivatives are those of the whole filter since its start, Q, R and gain included.
 """
 
 from typing import Any
