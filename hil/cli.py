@@ -304,14 +304,13 @@ def benchmark_adaptation(
 ) -> None:
     """What it costs not to know the noise: adaptive filters beside one that knows."""
     with one_clear_line():
-        from servohil.hil.claims_page import claims_grid
-        from servohil.sim_bench.benchmarks.adaptation import adaptation_claims, draw_cold_start
+        from servohil.sim_bench.benchmarks.adaptation import adaptation_claims, adaptation_tables, draw_cold_start
         from servohil.sim_bench.benchmarks.command import run_benchmark
 
         if figure is not None:
             draw_cold_start(figure)
         measure = partial(adaptation_claims, quick)
-        holds = run_benchmark("adaptation", load(rig), measure, json_path, page, claims_grid)
+        holds = run_benchmark("adaptation", load(rig), measure, json_path, page, adaptation_tables)
     sys.exit(0 if holds else EXIT_REFUSED)
 
 
