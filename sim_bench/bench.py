@@ -36,6 +36,7 @@ from servohil.sim_bench.node_process import warm_up
 from servohil.sim_bench.probe import Probe, connect_probe
 from servohil.sim_bench.report.score import RunFacts, score
 
+TIMEOUTS_SEEN: Final = 10
 SUBSCRIBER_WAIT_S: Final = 60.0
 TRUTH_FILE: Final = "truth.npy"
 REPORT_FILE: Final = "report.json"
@@ -154,6 +155,8 @@ def _realtime(rig: Rig, options: BenchOptions, say: Say, show: Show) -> BenchLog
         say("interrupted: the controller puts the valve to zero and ends")
     finally:
         code = controller.stop(signal.SIGINT)
+        if code != 0 and rig.plant is not None:  # it may have sent no zero: the log shows the node's own timeout
+            time.sleep(TIMEOUTS_SEEN * rig.plant.command_timeout_s)
         node_code = node.stop()
         controller.relay(say)
         node.relay(say)

@@ -17,7 +17,6 @@ PAPERS: Final = {
     "p2": "P2: second-order filters, electro-hydrostatic actuator",
     "p4": "P4: sensitivity-based adaptive SR-UKF, one-link arm",
 }
-DT_S: Final = 1e-3
 
 
 def list_lines() -> list[str]:
@@ -57,5 +56,5 @@ def run_reproduce(name: str, runs: int, out: Path, say: Callable[[str], None]) -
 
 def _figure(experiment: Experiment, out: Path) -> str:
     file = f"{experiment.id}.png"
-    draw(experiment, DT_S, out / file)
+    draw(experiment, out / file)
     return file

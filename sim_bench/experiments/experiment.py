@@ -112,6 +112,7 @@ class Experiment:
         metric: of a run.
         start: steps left out of the second figure.
         track: (N, n) what is compared with `Data.states`.
+        dt_s: sample time, s.
     """
 
     id: str
@@ -126,6 +127,7 @@ class Experiment:
     metric: Metric = NMSE
     start: int = 3000
     track: Callable[[Filter, Data], Matrix] = estimated_states
+    dt_s: float = 1e-3
 
 
 KNOWS: Final = "SR-UKF that knows Q and R"

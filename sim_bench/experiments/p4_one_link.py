@@ -155,7 +155,7 @@ EXPERIMENTS: Final = (
         (PaperClaim(
             "SB-aSRUKF's parameters are within 5 % of the truth at the end", below(5.0, SENSITIVE, slice(0, 4))
         ),),
-        NOTES, Metric("% error at the end", final_error), 0, parameters,
+        NOTES, Metric("% error at the end", final_error), 0, parameters, DT_S,
     ),
     Experiment(
         "p4-one-link-held", "one-link arm, held: drift of the parameters", "P4 figures 3 and 4",
@@ -168,6 +168,6 @@ EXPERIMENTS: Final = (
             PaperClaim("nor does its Coulomb friction", below(1e-9, SENSITIVE, slice(2, 3))),
             PaperClaim("without the gate, and in the joint filter, friction drifts more", drifts_more),
         ),
-        NOTES, Metric("% drift", drift), 0, parameters,
+        NOTES, Metric("% drift", drift), 0, parameters, DT_S,
     ),
 )  # fmt: skip

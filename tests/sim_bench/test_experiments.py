@@ -155,7 +155,7 @@ def test_the_page_has_printed_and_found_figures_and_every_verdict(toy, tmp_path)
     assert "**holds**: knowing is better." in text and "**does not hold**: not knowing is as good." in text
     assert "**cannot be tested**: it is secret: nobody knows." in text
     assert "| toy | knowing is better | holds |" in text and "![a walk](toy.png)" in text
-    draw(TOY, DT, tmp_path / "toy.png")
+    draw(TOY, tmp_path / "toy.png")
     assert (tmp_path / "toy.png").read_bytes().startswith(b"\x89PNG")
 
 
