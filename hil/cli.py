@@ -4,20 +4,15 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any
 
 import click
 
-if TYPE_CHECKING:
-    from servohil.hil.config import Rig
+from servohil.hil.benchmark_cli import benchmark
+from servohil.hil.command_line import EXIT_REFUSED, RIG, load, one_clear_line
 
-DEFAULT_RIG: Final = Path(__file__).resolve().parent.parent / "rigs" / "bench.toml"
-EXIT_REFUSED: Final = 1
-RIG = click.argument("rig", type=click.Path(path_type=Path), default=DEFAULT_RIG, required=False)
 LEAK_KIND = click.Choice(["internal", "external_a", "external_b"])
 
 
@@ -35,20 +30,6 @@ POSITIVE = Finite(min=0.0, min_open=True)
 NOT_NEGATIVE = Finite(min=0.0)
 
 
-@contextmanager
-def one_clear_line() -> Iterator[None]:
-    """Errors that a person can act on come as text without a traceback; everything else is a bug and keeps its own."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        raise click.exceptions.Exit(130) from None
-    except click.ClickException:
-        raise
-    except (OSError, ValueError) as error:
-        click.echo(f"hil: {error}", err=True)
-        raise click.exceptions.Exit(EXIT_REFUSED) from None
-
-
 def stop_with_parent_option(command: Callable[..., Any]) -> Callable[..., Any]:
     """`--stop-with-parent PID`: for processes that the bench starts."""
     return click.option("--stop-with-parent", "parent", type=int, hidden=True)(command)
@@ -60,15 +41,6 @@ def follow(parent: int | None) -> None:
         from servohil.hil.lifeline import stop_with_parent
 
         stop_with_parent(parent)
-
-
-def load(path: Path) -> "Rig":
-    """The rig at `path`; raises ConfigError. What is built from it may have to be compiled."""
-    from servohil.hil.compile_message import say_when_compiling
-    from servohil.hil.config import load_rig
-
-    say_when_compiling()
-    return load_rig(path)
 
 
 def new_folder(base: str, name: str) -> Path:
@@ -265,76 +237,7 @@ def reproduce(experiment: str, runs: int, out: Path) -> None:
         run_reproduce(experiment, runs, out, click.echo)
 
 
-@main.group()
-def benchmark() -> None:
-    """Measure this machine; results in the one format of claims."""
-
-
-def benchmark_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """What every benchmark takes."""
-    page = click.Path(path_type=Path)
-    for option in (
-        click.option("--page", type=page, help="Put the table into this page, between its markers."),
-        click.option("--json", "json_path", type=page, help="Write provenance and claims here."),
-        click.option("--quick", is_flag=True, help="Fewer cycles: under a minute."),
-        RIG,
-    ):
-        command = option(command)
-    return command
-
-
-@benchmark.command("loop")
-@benchmark_options
-def benchmark_loop(rig: Path, quick: bool, json_path: Path | None, page: Path | None) -> None:
-    """What one cycle costs, stage by stage, and the bus beside a peer."""
-    with one_clear_line():
-        from servohil.sim_bench.benchmarks.command import run_benchmark
-        from servohil.sim_bench.benchmarks.loop import loop_claims
-
-        loaded = load(rig)
-        holds = run_benchmark("loop", loaded, lambda tick: loop_claims(loaded, quick, tick), json_path, page)
-    sys.exit(0 if holds else EXIT_REFUSED)
-
-
-@benchmark.command("adaptation")
-@click.option("--figure", type=click.Path(path_type=Path), help="Draw the estimates of a cold start into this PNG.")
-@benchmark_options
-def benchmark_adaptation(
-    rig: Path, quick: bool, json_path: Path | None, page: Path | None, figure: Path | None
-) -> None:
-    """What it costs not to know the noise: adaptive filters beside one that knows."""
-    with one_clear_line():
-        from servohil.sim_bench.benchmarks.adaptation import adaptation_claims, adaptation_tables, draw_cold_start
-        from servohil.sim_bench.benchmarks.command import run_benchmark
-
-        if figure is not None:
-            draw_cold_start(figure)
-        measure = partial(adaptation_claims, quick)
-        holds = run_benchmark("adaptation", load(rig), measure, json_path, page, adaptation_tables)
-    sys.exit(0 if holds else EXIT_REFUSED)
-
-
-@benchmark.command("estimators")
-@benchmark_options
-def benchmark_estimators(rig: Path, quick: bool, json_path: Path | None, page: Path | None) -> None:
-    """What one step of a filter costs, beside filterpy and hand-written C."""
-    with one_clear_line():
-        from servohil.sim_bench.benchmarks.command import run_benchmark
-        from servohil.sim_bench.benchmarks.estimators import estimators_claims
-
-        holds = run_benchmark("estimators", load(rig), lambda tick: estimators_claims(quick, tick), json_path, page)
-    sys.exit(0 if holds else EXIT_REFUSED)
-
-
-@benchmark.command("wakeup")
-@benchmark_options
-def benchmark_wakeup(rig: Path, quick: bool, json_path: Path | None, page: Path | None) -> None:
-    """How late a sleeping loop wakes up on this machine."""
-    with one_clear_line():
-        from servohil.sim_bench.benchmarks.command import run_benchmark
-        from servohil.sim_bench.benchmarks.wakeup import wakeup_claims
-
-        run_benchmark("wakeup", load(rig), lambda tick: wakeup_claims(quick, tick), json_path, page)
+main.add_command(benchmark)
 
 
 if __name__ == "__main__":

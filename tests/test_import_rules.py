@@ -44,7 +44,7 @@ FILE_MAY_IMPORT = {
     "sim_bench/benchmarks/filterpy_peer.py": {"filterpy"},  # a peer where installed, else the row says so
 }
 # Inside a function only: `hil run` must work on a rig PC without the simulator.
-COMMANDS_THAT_SIMULATE = {"hil/cli.py"}
+COMMANDS_THAT_SIMULATE = {"hil/cli.py", "hil/benchmark_cli.py"}
 PURE = ("estimators/", "control/", "hil/gate.py", "hil/cycle.py")
 IMPURE = {
     "asyncio", "datetime", "fcntl", "io", "logging", "mmap", "multiprocessing", "os", "pathlib", "random", "secrets",

@@ -1,0 +1,83 @@
+"""`hil benchmark ...`: what this machine does, and what the filters cost and are worth."""
+
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+
+from servohil.hil.command_line import EXIT_REFUSED, RIG, load, one_clear_line
+
+
+@click.group()
+def benchmark() -> None:
+    """Measure this machine; results in the one format of claims."""
+
+
+def benchmark_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """What every benchmark takes."""
+    page = click.Path(path_type=Path)
+    for option in (
+        click.option("--page", type=page, help="Put the table into this page, between its markers."),
+        click.option("--json", "json_path", type=page, help="Write provenance and claims here."),
+        click.option("--quick", is_flag=True, help="Fewer cycles: under a minute."),
+        RIG,
+    ):
+        command = option(command)
+    return command
+
+
+@benchmark.command("loop")
+@benchmark_options
+def benchmark_loop(rig: Path, quick: bool, json_path: Path | None, page: Path | None) -> None:
+    """What one cycle costs, stage by stage, and the bus beside a peer."""
+    with one_clear_line():
+        from servohil.sim_bench.benchmarks.command import run_benchmark
+        from servohil.sim_bench.benchmarks.loop import loop_claims
+
+        loaded = load(rig)
+        holds = run_benchmark("loop", loaded, lambda tick: loop_claims(loaded, quick, tick), json_path, page)
+    sys.exit(0 if holds else EXIT_REFUSED)
+
+
+@benchmark.command("adaptation")
+@click.option("--figure", type=click.Path(path_type=Path), help="Draw the estimates of a cold start into this PNG.")
+@benchmark_options
+def benchmark_adaptation(
+    rig: Path, quick: bool, json_path: Path | None, page: Path | None, figure: Path | None
+) -> None:
+    """What it costs not to know the noise: adaptive filters beside one that knows."""
+    with one_clear_line():
+        from servohil.sim_bench.benchmarks.adaptation import adaptation_claims, adaptation_tables, draw_cold_start
+        from servohil.sim_bench.benchmarks.command import run_benchmark
+
+        if figure is not None:
+            draw_cold_start(figure)
+        measure = partial(adaptation_claims, quick)
+        holds = run_benchmark("adaptation", load(rig), measure, json_path, page, adaptation_tables)
+    sys.exit(0 if holds else EXIT_REFUSED)
+
+
+@benchmark.command("estimators")
+@benchmark_options
+def benchmark_estimators(rig: Path, quick: bool, json_path: Path | None, page: Path | None) -> None:
+    """What one step of a filter costs, beside filterpy and hand-written C."""
+    with one_clear_line():
+        from servohil.sim_bench.benchmarks.command import run_benchmark
+        from servohil.sim_bench.benchmarks.estimators import estimators_claims
+
+        holds = run_benchmark("estimators", load(rig), lambda tick: estimators_claims(quick, tick), json_path, page)
+    sys.exit(0 if holds else EXIT_REFUSED)
+
+
+@benchmark.command("wakeup")
+@benchmark_options
+def benchmark_wakeup(rig: Path, quick: bool, json_path: Path | None, page: Path | None) -> None:
+    """How late a sleeping loop wakes up on this machine."""
+    with one_clear_line():
+        from servohil.sim_bench.benchmarks.command import run_benchmark
+        from servohil.sim_bench.benchmarks.wakeup import wakeup_claims
+
+        run_benchmark("wakeup", load(rig), lambda tick: wakeup_claims(quick, tick), json_path, page)
