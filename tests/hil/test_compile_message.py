@@ -9,7 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from servohil.estimators.compilation import specialise
-from servohil.hil.cli import DEFAULT_RIG, load, main
+from servohil.hil.cli import main
+from servohil.hil.command_line import DEFAULT_RIG, load
 from servohil.hil.compile_message import compile_message
 
 SCRIPT = """
