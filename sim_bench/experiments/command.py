@@ -7,7 +7,7 @@ from typing import Final
 
 from servohil.hil.provenance import provenance
 from servohil.sim_bench.experiments.catalogue import CATALOGUE, chosen
-from servohil.sim_bench.experiments.experiment import Experiment
+from servohil.sim_bench.experiments.experiment import Experiment, Figure
 from servohil.sim_bench.experiments.figures import draw
 from servohil.sim_bench.experiments.page import page
 from servohil.sim_bench.experiments.reproduce import reproduce
@@ -38,7 +38,7 @@ def run_reproduce(name: str, runs: int, out: Path, say: Callable[[str], None]) -
         mine = [each for each in experiments if each.id.partition("-")[0] == paper]
         if not mine:
             continue
-        figures = {each.id: _figure(each, out) for each in mine if each.filters}
+        figures = {each.id: _figures(each, out) for each in mine if each.filters}
         path = out / (f"{paper}.md" if name == "all" else f"{name}.md")
         command = f"`hil reproduce {name} --runs {runs}`"
         facts = provenance()
@@ -54,7 +54,9 @@ def run_reproduce(name: str, runs: int, out: Path, say: Callable[[str], None]) -
         say(f"page         {path}")
 
 
-def _figure(experiment: Experiment, out: Path) -> str:
-    file = f"{experiment.id}.png"
-    draw(experiment, out / file)
-    return file
+def _figures(experiment: Experiment, out: Path) -> dict[str, str]:
+    """Draw them; captions by file name."""
+    figures = experiment.figures or {experiment.id: Figure(experiment.title, draw)}
+    for name, figure in figures.items():
+        figure.draw(experiment, out / f"{name}.png")
+    return {f"{name}.png": figure.caption for name, figure in figures.items()}

@@ -1,7 +1,8 @@
 """What an experiment is: its data, the filters that compete, what the paper printed, its claims as checks."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -96,6 +97,14 @@ def estimated_states(one: Filter, data: Data) -> Matrix:
 
 
 @dataclass(frozen=True)
+class Figure:
+    """A picture of the page: what stands below it, and how the experiment is drawn into a PNG."""
+
+    caption: str
+    draw: Callable[["Experiment", Path], None]
+
+
+@dataclass(frozen=True)
 class Experiment:
     """One table of a paper, to be repeated.
 
@@ -113,6 +122,7 @@ class Experiment:
         start: steps left out of the second figure.
         track: (N, n) what is compared with `Data.states`.
         dt_s: sample time, s.
+        figures: by the name of its file, e.g. "p1-figure7"; without any: truth, estimates and errors of one run.
     """
 
     id: str
@@ -128,6 +138,7 @@ class Experiment:
     start: int = 3000
     track: Callable[[Filter, Data], Matrix] = estimated_states
     dt_s: float = 1e-3
+    figures: Mapping[str, Figure] = field(default_factory=dict)
 
 
 KNOWS: Final = "SR-UKF that knows Q and R"

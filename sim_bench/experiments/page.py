@@ -20,8 +20,8 @@ def spread(column: np.ndarray) -> str:
     return f"{value(middle)} ({value(low)} .. {value(high)})"
 
 
-def section(experiment: Experiment, results: Results, figure: str | None) -> str:
-    """One experiment in Markdown."""
+def section(experiment: Experiment, results: Results, figures: Mapping[str, str]) -> str:
+    """One experiment in Markdown; captions by file name."""
     lines = [f"## {experiment.id}: {experiment.title}", "", f"{experiment.source}.", ""]
     if results:
         lines += [
@@ -36,8 +36,8 @@ def section(experiment: Experiment, results: Results, figure: str | None) -> str
             ]
             lines.append(f"| {name} | {' | '.join(cells)} |")
         lines.append("")
-    if figure is not None:
-        lines += [f"![{experiment.title}]({figure})", ""]
+    for file, caption in figures.items():
+        lines += [f"![{caption}]({file})", "", f"*{caption}*", ""]
     for claim in experiment.claims:
         verdict = claim.verdict(results)
         why = f": {claim.why}" if verdict == NOT_TESTABLE else ""
@@ -57,8 +57,8 @@ def verdict_table(experiments: Sequence[Experiment], results: Mapping[str, Resul
 
 
 def page(
-    title: str, experiments: Sequence[Experiment], results: Mapping[str, Results], figures: Mapping[str, str],
-    facts: str,
+    title: str, experiments: Sequence[Experiment], results: Mapping[str, Results],
+    figures: Mapping[str, Mapping[str, str]], facts: str,
 ) -> str:  # fmt: skip
     """The whole page in Markdown.
 
@@ -66,9 +66,9 @@ def page(
         title: of the paper.
         experiments: in the order of the page.
         results: by experiment; one that cannot be tested has none.
-        figures: file names by experiment.
+        figures: captions by experiment and file name.
         facts: how, when and on what machine; run time.
     """
     parts = [f"# {title}", "", facts, "", "## Verdicts", "", verdict_table(experiments, results), ""]
-    parts += [section(each, results.get(each.id, {}), figures.get(each.id)) for each in experiments]
+    parts += [section(each, results.get(each.id, {}), figures.get(each.id, {})) for each in experiments]
     return "\n".join(parts).rstrip() + "\n"

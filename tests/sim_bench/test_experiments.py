@@ -147,7 +147,7 @@ def test_verdicts():
 
 def test_the_page_has_printed_and_found_figures_and_every_verdict(toy, tmp_path):
     results = {"toy": reproduce([TOY], 5, tmp_path)["toy"]}
-    text = page("Toys", [TOY], results, {"toy": "toy.png"}, "by hand")
+    text = page("Toys", [TOY], results, {"toy": {"toy.png": "a walk"}}, "by hand")
     row = next(line for line in text.splitlines() if line.startswith("| wrong"))
     low, middle, high = np.percentile(results["toy"]["wrong"].whole[:, 0], [5, 50, 95])
     numbers = [float(number) for number in re.findall(r"\d[\d.]*(?:e[+-]?\d+)?", row.split("NaN / ")[1])]
