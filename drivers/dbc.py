@@ -40,6 +40,12 @@ SI_FACTORS: Final[Mapping[str, float]] = {
     "kN": 1e3,
     "s": 1.0,
     "ms": 1e-3,
+    "rad": 1.0,
+    "rad/s": 1.0,
+    "rad/s2": 1.0,
+    "Nm": 1.0,
+    "m/s2": 1.0,
+    "m3/s": 1.0,
 }
 # Every integer up to 53 bits is exact in float64.
 MAX_SIGNAL_BITS: Final = 53

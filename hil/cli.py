@@ -3,7 +3,6 @@
 import math
 import os
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import click
 
 from servohil.hil.benchmark_cli import benchmark
-from servohil.hil.command_line import EXIT_REFUSED, RIG, load, one_clear_line
+from servohil.hil.command_line import EXIT_REFUSED, RIG, load, new_folder, one_clear_line, plant_file, refuse_given
 
 LEAK_KIND = click.Choice(["internal", "external_a", "external_b"])
 
@@ -41,19 +40,6 @@ def follow(parent: int | None) -> None:
         from servohil.hil.lifeline import stop_with_parent
 
         stop_with_parent(parent)
-
-
-def new_folder(base: str, name: str) -> Path:
-    """A fresh folder for one run, named by UTC time."""
-    stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
-    for attempt in range(100):
-        folder = Path(base) / (f"{stamp}-{name}" if not attempt else f"{stamp}-{name}-{attempt}")
-        try:
-            folder.mkdir(parents=True)
-        except FileExistsError:
-            continue
-        return folder
-    raise OSError(f"{base}: no free folder name for {stamp}-{name}")
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -117,8 +103,16 @@ def run(
 def rig(
     rig: Path, leak_at: float | None, leak: float, leak_kind: str, truth: Path | None, log: float, parent: int | None
 ) -> None:
-    """Run the simulated actuator node of RIG on its bus, until stopped."""
+    """Run the simulated actuator node of RIG on its bus, until stopped; RIG = FILE.py: a plant of your own."""
     follow(parent)
+    plant = plant_file(rig)
+    if plant is not None:
+        refuse_given(("leak_at", "leak", "leak_kind"), "only the cylinder leaks")
+        with one_clear_line():
+            from servohil.sim_bench.plant_rig.command import plant_rig_command
+
+            plant_rig_command(plant, truth, log, click.echo)
+        return
     with one_clear_line():
         from servohil.drivers.bus_lock import BusLock
         from servohil.drivers.open_port import open_port
@@ -174,12 +168,20 @@ def bench(
     json_path: Path | None,
     protocol_only: bool,
 ) -> None:
-    """Close the loop on a simulated cylinder, inject a leak, and report."""
+    """Close the loop on a simulated cylinder, inject a leak, and report; RIG = FILE.py: on a plant of your own."""
+    plant = plant_file(rig)
     with one_clear_line():
         from servohil.hil.compile_message import say_when_compiling
-        from servohil.sim_bench.bench_command import bench_command
 
         say_when_compiling()
+        if plant is not None:
+            refuse_given(("rate", "leak_at", "leak", "leak_kind", "seed", "protocol_only"), "says the plant's file")
+            from servohil.sim_bench.plant_rig.command import plant_bench_command
+
+            plant_bench_command(plant, duration, lockstep, new_folder("runs", plant.stem), json_path, click.echo)
+            return
+        from servohil.sim_bench.bench_command import bench_command
+
         code = bench_command(rig, duration, rate, (leak_at, leak, leak_kind), lockstep, seed, json_path, protocol_only)
     sys.exit(code)
 
@@ -224,7 +226,8 @@ def observability(rig: Path, json_path: Path | None) -> None:
 @click.argument("experiment", metavar="LIST|ID|all")
 @click.option("--runs", type=click.IntRange(1), default=20, show_default=True, help="Seeds per experiment.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("runs/reproduce"), show_default=True)
-def reproduce(experiment: str, runs: int, out: Path) -> None:
+@click.option("--data", type=click.Path(path_type=Path), help="Recording for p1-recording: a CSV file or its folder.")
+def reproduce(experiment: str, runs: int, out: Path, data: Path | None) -> None:
     """Repeat the papers' experiments: LIST them, one by its ID, or all; a page with tables, figures and verdicts."""
     with one_clear_line():
         from servohil.hil.compile_message import say_when_compiling
@@ -234,7 +237,7 @@ def reproduce(experiment: str, runs: int, out: Path) -> None:
             click.echo("\n".join(list_lines()))
             return
         say_when_compiling()
-        run_reproduce(experiment, runs, out, click.echo)
+        run_reproduce(experiment, runs, out, click.echo, data)
 
 
 main.add_command(benchmark)

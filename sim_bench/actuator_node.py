@@ -6,8 +6,8 @@ the next period on, as over a real bus.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final, NamedTuple
+from dataclasses import asdict, dataclass
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from servohil.hil.config.hydraulics import Plant
 from servohil.hil.control_word import ACTIVE_BIT, DRIVE_BITS, status_word
 from servohil.hil.gate import DeviceState
 from servohil.sim_bench.plant import LEAKS, CylinderPlant
+from servohil.sim_bench.plants.cylinder import CylinderPlantParameters
 from servohil.sim_bench.sensors import Sensors, SensorStd
 
 NS_PER_S: Final = 1_000_000_000
@@ -63,11 +64,11 @@ class LeakPlan:
 class TruthLog:
     """What the plant really did, one row per step, in memory taken at the start: logging never allocates."""
 
-    def __init__(self, rows: int) -> None:
-        self._rows = np.zeros(rows, dtype=TRUTH)
+    def __init__(self, rows: int, dtype: np.dtype[Any] = TRUTH) -> None:
+        self._rows = np.zeros(rows, dtype=dtype)
         self._count = 0
 
-    def append(self, row: tuple[float, ...]) -> None:
+    def append(self, row: tuple[Any, ...]) -> None:
         """Keep a row; when the log is full the oldest rows give way."""
         self._rows[self._count % len(self._rows)] = row
         self._count += 1
@@ -157,14 +158,13 @@ class ActuatorNode:
         return outgoing
 
     def _advance(self) -> float:
-        """One period with the spool as it stands, V."""
-        spool = self.spool_v
-        self.plant.step(spool, self._rng.standard_normal(N_STATES), self.dt)
-        return spool
+        """One period with the command as it stands; where the spool is then, V."""
+        self.plant.step(self.spool_v, self._rng.standard_normal(N_STATES), self.dt)
+        return self.plant.spool_v
 
     def _measure(self, spool_v: float) -> list[tuple[int, bytes]]:
         plant, codec = self.plant, self.codec
-        readings = self._sensors.read(plant.state, plant.supply_pa, plant.tank_pa, spool_v)
+        readings = self._sensors.read(plant.state, plant.supply_at_valve_pa, plant.tank_pa, spool_v)
         state = DeviceState.ACTIVE if self._driving else DeviceState.DISABLED
         for (values, position), reading in zip(self._places, (*readings, float(status_word(state))), strict=True):
             values[position] = reading
@@ -212,13 +212,25 @@ def plant_section(rig: Rig) -> Plant:
 
 
 def build_plant(rig: Rig, settings: Plant) -> CylinderPlant:
-    """The true cylinder: [cylinder] with the overrides of [plant.cylinder]."""
+    """The true cylinder: [cylinder] with the overrides of [plant.cylinder] and [plant.imperfections].
+
+    Raises:
+        ValueError: names the parameter or the step that cannot be, and the limit.
+    """
     noise = settings.process_std
-    return CylinderPlant(
-        rig.plant_cylinder.parameters(),
+    imperfections = settings.imperfections.model_dump(exclude_none=True)
+    spool_order = imperfections.pop("spool_order")
+    plant = CylinderPlant(
+        CylinderPlantParameters(**asdict(rig.plant_cylinder.parameters()), **imperfections),
         x0=np.array([settings.position_m, 0.0, settings.pressure_a_pa, settings.pressure_b_pa]),
         supply_pa=settings.supply_pa,
         tank_pa=settings.tank_pa,
         process_std=np.array([0.0, noise.velocity_mps, noise.pressure_a_pa, noise.pressure_b_pa]),
         substeps=settings.substeps,
+        spool_order=spool_order,
     )
+    try:
+        plant.check_step(rig.loop.period_ns / NS_PER_S)
+    except ValueError as error:
+        raise ValueError(f"{rig.path}: plant.substeps = {settings.substeps}: {error}") from None
+    return plant

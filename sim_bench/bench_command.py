@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servohil.hil.assemble import check
-from servohil.hil.cli import new_folder
+from servohil.hil.command_line import new_folder
 from servohil.hil.config import load_rig
 from servohil.hil.config.effective import write_effective
 from servohil.sim_bench.actuator_node import LeakPlan

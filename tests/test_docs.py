@@ -27,10 +27,18 @@ def blocks(page: Path) -> list[str]:
     return BLOCK.findall(page.read_text())
 
 
+def files(page: Path) -> dict[str, str]:
+    """Examples to be saved as a file: their first line is a comment with its name."""
+    found = ((re.match(r"# (\w+\.py)\n", text), text) for text in PYTHON.findall(page.read_text()))
+    return {match.group(1): text for match, text in found if match}
+
+
 @pytest.mark.processes
 @pytest.mark.parametrize("page", [p for p in PAGES if blocks(p)], ids=lambda p: str(p.relative_to(ROOT)))
 def test_every_command_runs(page: Path, tmp_path: Path) -> None:
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    for name, text in files(page).items():
+        (tmp_path / name).write_text(text)
     for block in blocks(page):
         for command in block.strip().splitlines():
             if command in MAKE:

@@ -36,6 +36,7 @@ THIRD_PARTY = {
 # The only files that know these packages.
 FILE_MAY_IMPORT = {
     "drivers/dbc.py": {"cantools"},
+    "drivers/dbc_writer.py": {"cantools"},
     "drivers/local_bus.py": {"can"},
     "drivers/open_port.py": {"can"},
     "drivers/python_can_port.py": {"can"},

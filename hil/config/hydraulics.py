@@ -1,6 +1,6 @@
 """[cylinder]: what the controller believes of the hydraulics. [plant]: what the simulated actuator node makes true."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
@@ -55,6 +55,20 @@ class CylinderOverrides(Section):
     load_force_n: float | None = None
 
 
+class Imperfections(Section):
+    """[plant.imperfections]: what the truth has and the controller's model leaves out; without a key it has not."""
+
+    friction_coulomb_n: NonNegative | None = None
+    friction_stribeck_n: NonNegative | None = None  # by which friction at rest exceeds Coulomb's
+    stribeck_velocity_m_per_s: Positive | None = None
+    rest_velocity_m_per_s: Positive | None = None  # dry friction changes its sign over this width
+    dead_band_v: NonNegative | None = None  # overlap of the spool
+    spool_order: Literal[0, 1, 2] = 0  # 0: the spool is where the command is
+    spool_frequency_rad_per_s: Positive | None = None
+    spool_damping: NonNegative | None = None  # of order 2
+    supply_resistance: NonNegative | None = None  # Pa s/m3, sag of the supply per flow drawn
+
+
 class ProcessStd(Section):
     """[plant.process_std]: standard deviation of the noise on the true state, per millisecond."""
 
@@ -86,5 +100,6 @@ class Plant(Section):
     command_timeout_s: Positive  # spool to centre after this long without a valid command
     substeps: Annotated[int, Field(ge=1, le=1000)]
     cylinder: CylinderOverrides = CylinderOverrides()
+    imperfections: Imperfections = Imperfections()
     process_std: ProcessStd
     sensor_std: SensorStd

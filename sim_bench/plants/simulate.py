@@ -76,12 +76,19 @@ def simulate(model: Model, x0: ArrayLike, U: ArrayLike, noise_std: ArrayLike, se
     check_step(model, x, inputs[0])
     noise = std * np.random.default_rng(seed).standard_normal((count, model.n))
     states, outputs = np.empty((count, model.n)), np.empty((count, model.m))
-    drive = model.specialise(_drive, f"void({VECTOR}, {VECTOR}, {', '.join([MATRIX] * 4)}, {VECTOR})")
-    drive(x, model.p, inputs, noise, states, outputs, np.empty(STAGES * model.n))
+    compiled_drive(model)(x, model.p, inputs, noise, states, outputs, np.empty(STAGES * model.n))
     lost = np.flatnonzero(~np.isfinite(states).all(axis=1))
     if lost.size:
         raise ValueError(f"the simulated state is not finite from step {lost[0]} on (dt = {model.dt} s): shorten dt")
     return Truth(states, outputs)
+
+
+def compiled_drive(model: Model) -> Any:
+    """The loop above for `model`: drive(x (n,), p, U (N, n_u), W (N, n), X (N, n), Y (N, m), stages (STAGES n,)).
+
+    It moves x through every row of U and adds the row of W; states and outputs go to X and Y.
+    """
+    return model.specialise(_drive, f"void({VECTOR}, {VECTOR}, {', '.join([MATRIX] * 4)}, {VECTOR})")
 
 
 def check_step(model: Model, x: Vector, u: Vector) -> None:
@@ -92,30 +99,39 @@ def check_step(model: Model, x: Vector, u: Vector) -> None:
     """
     if model.integrator not in STABILITY_LIMITS:
         return
-    fastest = float(np.abs(np.linalg.eigvals(jacobian(model, x, u))).max())
-    step, allowed = model.dt / model.substeps, STABILITY_LIMITS[model.integrator]
-    if fastest * step > allowed:
+    check_step_length(model.f, x, u, model.p, model.dt / model.substeps, model.integrator)
+
+
+def check_step_length(f: Any, x: Vector, u: Vector, p: Vector, step_s: float, integrator: str) -> None:
+    """The same for a right-hand side f(x, u, p, dx) and a step of its own; `integrator` is "rk4" or "euler".
+
+    Raises:
+        ValueError: names the step, the fastest eigenvalue and the limit.
+    """
+    fastest = float(np.abs(np.linalg.eigvals(jacobian(f, x, u, p))).max())
+    allowed = STABILITY_LIMITS[integrator]
+    if fastest * step_s > allowed:
         raise ValueError(
-            f"integration step = {step:g} s (dt / substeps): above the stability limit {allowed / fastest:.3g} s of "
-            f"{model.integrator!r}, |eigenvalue| x step <= {allowed}, with the fastest eigenvalue {fastest:.4g} 1/s"
+            f"integration step = {step_s:g} s (dt / substeps): above the stability limit {allowed / fastest:.3g} s of "
+            f"{integrator!r}, |eigenvalue| x step <= {allowed}, with the fastest eigenvalue {fastest:.4g} 1/s"
         )
 
 
-def jacobian(model: Model, x: Vector, u: Vector) -> Matrix:
-    """df/dx (n, n) by central differences.
+def jacobian(f: Any, x: Vector, u: Vector, p: Vector) -> Matrix:
+    """df/dx (n, n) of f(x, u, p, dx) by central differences.
 
     Raises:
         ValueError: f is not finite near x.
     """
-    matrix, slopes = np.empty((model.n, model.n)), np.empty((2, model.n))
-    for i in range(model.n):
+    matrix, slopes = np.empty((x.size, x.size)), np.empty((2, x.size))
+    for i in range(x.size):
         step = 1e-5 * max(1.0, abs(x[i]))
         for sign, slope in zip((1.0, -1.0), slopes, strict=True):
             moved = x.copy()
             moved[i] += sign * step
             try:
                 with np.errstate(all="ignore"):
-                    model.f(moved, u, model.p, slope)
+                    f(moved, u, p, slope)
             except (ArithmeticError, ValueError):  # plain Python raises where compiled code gives inf or NaN
                 slope[:] = np.nan
         with np.errstate(invalid="ignore"):  # inf - inf

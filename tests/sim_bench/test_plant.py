@@ -1,13 +1,15 @@
 """The truth model: conservation, an independent integrator, end stops, leaks, repeatability."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 from servohil.estimators.models.cylinder import CylinderParameters
 from servohil.sim_bench.plant import CylinderPlant
+from servohil.sim_bench.plants.cylinder import CylinderPlantParameters
 
 P = CylinderParameters()
 START = np.array([0.18, 0.0, 2.67e6, 5.06e6])
@@ -181,3 +183,55 @@ def test_bad_values_are_refused_by_name() -> None:
         plant(substeps=0)
     with pytest.raises(ValueError, match="process_std"):
         plant(std=np.array([0.0, -1.0, 0.0, 0.0]))
+
+
+def imperfect(**values: float) -> CylinderPlantParameters:
+    return CylinderPlantParameters(**asdict(P), **values)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_spool_follows_its_command_as_a_linear_system_of_its_order(order: int) -> None:
+    spool = imperfect(spool_frequency_rad_per_s=300.0, spool_damping=0.5)
+    it = CylinderPlant(spool, START, 14e6, 0.9e6, QUIET, 10, order)
+    matrix = [[-300.0]] if order == 1 else [[0.0, 1.0], [-9e4, -300.0]]
+    for k in range(1, 30):
+        it.step(4.0, QUIET)
+        assert it.spool_v == pytest.approx(4.0 * (1.0 - expm(1e-3 * k * np.array(matrix))[0, 0]), abs=2e-6)
+
+
+def test_dry_friction_holds_what_viscous_friction_lets_go() -> None:
+    free, held = plant(), CylinderPlant(imperfect(friction_coulomb_n=2e3), START, 14e6, 0.9e6, QUIET, 40)
+    for it in (free, held):
+        for _ in range(100):
+            it.step(0.05, QUIET)
+    assert abs(held.state[1]) < 0.2 * abs(free.state[1])
+
+
+def test_a_dead_band_lets_nothing_through_and_then_what_exceeds_it() -> None:
+    shut = CylinderPlant(imperfect(dead_band_v=0.5), START, 14e6, 0.9e6, QUIET, 10)
+    closed, less, banded = plant(), plant(), CylinderPlant(imperfect(dead_band_v=0.5), START, 14e6, 0.9e6, QUIET, 10)
+    for _ in range(50):
+        shut.step(0.5, QUIET)
+        closed.step(0.0, QUIET)
+        banded.step(-2.0, QUIET)
+        less.step(-1.5, QUIET)
+    np.testing.assert_array_equal(shut.state, closed.state)
+    np.testing.assert_array_equal(banded.state, less.state)
+
+
+def test_the_supply_sags_by_its_resistance_times_the_flow() -> None:
+    it = CylinderPlant(imperfect(supply_resistance=2e9), START, 14e6, 0.9e6, QUIET, 10)
+    assert it.supply_at_valve_pa == 14e6  # nothing flows
+    it.step(8.0, QUIET)
+    flow = P.valve_gain * 8.0 * np.sqrt(it.supply_at_valve_pa - it.state[2])
+    assert 14e6 - it.supply_at_valve_pa == pytest.approx(2e9 * flow, rel=1e-9)
+    assert flow > 1e-4
+
+
+def test_a_step_too_long_for_the_friction_at_rest_is_refused() -> None:
+    it = CylinderPlant(imperfect(friction_coulomb_n=2e4), START, 14e6, 0.9e6, QUIET, 10)
+    with pytest.raises(ValueError, match=r"above the stability limit 3\.5"):
+        it.check_step(1e-3)
+    it.check_step(2e-4)
+    with pytest.raises(ValueError, match="spool_order = 3"):
+        CylinderPlant(P, START, 14e6, 0.9e6, QUIET, 10, 3)

@@ -38,7 +38,7 @@ def test_the_jacobian_of_the_one_link_arm():
     slope = p.friction_coulomb_nm * p.friction_slope_s_per_rad / (1 + (p.friction_slope_s_per_rad * x[1]) ** 2)
     stiffness = 0.5 * p.mass_length_kg_m * p.gravity_m_per_s2 * np.cos(x[0])
     expected = [[0, 1], [-stiffness / p.inertia_kg_m2, -(p.friction_viscous + slope) / p.inertia_kg_m2]]
-    np.testing.assert_allclose(jacobian(arm_model(), x, np.zeros(1)), expected, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(jacobian(arm_model().f, x, np.zeros(1), arm_model().p), expected, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize(("integrator", "dt"), [("rk4", 1e-3), ("euler", one_link_arm.SAMPLE_TIME_S)])

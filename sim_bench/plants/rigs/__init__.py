@@ -1,0 +1,1 @@
+"""The plants of the papers as rigs: `hil bench NAME`, `hil rig NAME`."""
