@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -55,8 +54,11 @@ def benchmark_adaptation(
 
         if figure is not None:
             draw_cold_start(figure)
-        measure = partial(adaptation_claims, quick)
-        holds = run_benchmark("adaptation", load(rig), measure, json_path, page, adaptation_tables)
+        folder = Path("runs") / ("adaptation-quick" if quick else "adaptation")
+        holds = run_benchmark(
+            "adaptation", load(rig), lambda _: adaptation_claims(quick, folder), json_path, page, adaptation_tables,
+            own_bar=True,
+        )  # fmt: skip
     sys.exit(0 if holds else EXIT_REFUSED)
 
 

@@ -22,6 +22,8 @@ from typing import Any, Final
 
 import numpy as np
 
+import servohil
+from servohil._compiled_cache import compiled_sources_hash
 from servohil.hil.claims import write_atomically
 from servohil.sim_bench.campaign_cases import SEED, CampaignError, Case, case_seed, plain_cases, plain_row
 from servohil.sim_bench.campaign_table import TABLE, Row, write_table
@@ -118,6 +120,11 @@ def run_campaign(
     return folder / TABLE
 
 
+def source_version() -> str:
+    """A `version` that changes with whatever is compiled: a hash of the project's sources."""
+    return compiled_sources_hash(Path(servohil.__file__).parent)
+
+
 def _run_all(jobs: Sequence[Callable[[], None]], workers: int | None, progress: bool) -> None:
     from rich.progress import MofNCompleteColumn, Progress
 
@@ -194,5 +201,7 @@ def _claimed(folder: Path, identity: Mapping[str, Any]) -> Iterator[None]:
         except (OSError, ValueError) as error:
             raise CampaignError(f"folder {folder} holds cases of an unknown campaign: {error}") from None
         if found != identity:
-            raise CampaignError(f"folder {folder} holds another campaign, {found}; this one is {identity}")
+            raise CampaignError(
+                f"folder {folder} holds another campaign, {found}; this one is {identity}: remove the folder"
+            )
         yield

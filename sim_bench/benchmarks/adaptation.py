@@ -6,10 +6,9 @@ R, the papers' Sage-Husa form, and the limited form for R with the true Q of the
 """
 
 import time
-from collections.abc import Callable, Iterator
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +17,15 @@ from servohil.estimators import ASRUKF, SRUKF
 from servohil.estimators.filter import Filter
 from servohil.hil.claims import Claim
 from servohil.hil.claims_page import claims_grid, claims_table
-from servohil.sim_bench.benchmarks.command import Tick
+from servohil.sim_bench.campaign import run_campaign, source_version
+from servohil.sim_bench.campaign_cases import grid
+from servohil.sim_bench.campaign_table import read_table
 from servohil.sim_bench.noise_scenarios import P0, SCENARIOS, X0, NoiseScenario, filter_model, simulate
 
 Matrix = NDArray[np.float64]
 
 STATES: Final = ("x", "v", "p1", "p2")
+SEED: Final = 1
 STEPS: Final = 20_000
 FROM: Final = 3_000  # steps left out at the start
 LIMIT: Final = "<= 1.10"
@@ -52,7 +54,7 @@ def squared_error(states: Matrix, estimates: Matrix) -> Matrix:
 
 
 def competitors(scenario: NoiseScenario) -> dict[str, Filter]:
-    """The filters that do not know, by name."""
+    """The filters that do not know, by name; built for each run."""
     model = filter_model(scenario)
     m = model.m
     tiny, wrong = TINY * np.eye(4), 1e-13 * np.eye(4)
@@ -66,21 +68,21 @@ def competitors(scenario: NoiseScenario) -> dict[str, Filter]:
     }
 
 
-def ratios(
-    scenario: NoiseScenario, filters: dict[str, Filter], seeds: int, loss: float, tick: Callable[[], None]
-) -> dict[str, Matrix]:
-    """(seeds, 4) ratio of squared errors to the filter that knows, for each filter."""
-    knows = SRUKF(filter_model(scenario), X0, P0, np.diag(scenario.q), np.diag(scenario.r[: filter_model(scenario).m]))
-    found: dict[str, list[Matrix]] = {name: [] for name in filters}
-    for seed in range(seeds):
-        inputs, samples, states = simulate(scenario, STEPS, seed, loss)
-        least = squared_error(states, with_truth(knows, scenario, inputs, samples))
-        for name, competitor in filters.items():
-            competitor.reset()
-            with np.errstate(all="ignore"):
-                found[name].append(squared_error(states, competitor.run(inputs, samples).x) / least)
-            tick()
-    return {name: np.array(rows) for name, rows in found.items()}
+def one_run(case: dict[str, Any], rng: np.random.Generator) -> list[dict[str, Any]]:
+    """Ratio of squared errors to the filter that knows, a row for each filter and state."""
+    scenario = next(each for each in SCENARIOS if each.name == case["scenario"])
+    model, loss = filter_model(scenario), case["loss"]
+    inputs, samples, states = simulate(scenario, STEPS, int(rng.integers(2**31)), loss)
+    knows = SRUKF(model, X0, P0, np.diag(scenario.q), np.diag(scenario.r[: model.m]))
+    least = squared_error(states, with_truth(knows, scenario, inputs, samples))
+    alone = loss > 0.0 or case["quick"]
+    filters = {"likelihood": ASRUKF(model, X0, P0)} if alone else competitors(scenario)
+    rows = []
+    for name, one in filters.items():
+        with np.errstate(all="ignore"):  # what a filter makes of hopeless covariances is a result
+            found = squared_error(states, one.run(inputs, samples).x) / least
+        rows += [{"filter": name, "state": state, "ratio": float(r)} for state, r in zip(STATES, found, strict=True)]
+    return rows
 
 
 def cost_us(turns: int) -> float:
@@ -99,33 +101,32 @@ def cost_us(turns: int) -> float:
     return float(np.median(spent[:, 0] - spent[:, 1])) / COST_STEPS / 1e3
 
 
-def adaptation_claims(quick: bool, tick: Tick) -> list[Claim]:
-    """A claim per scenario, filter and state; limits for the likelihood form alone."""
+def adaptation_claims(quick: bool, folder: Path) -> list[Claim]:
+    """A claim per scenario, filter and state; limits for the likelihood form alone.
+
+    Args:
+        quick: one seed of one scenario, which shows that it works and judges nothing.
+        folder: of the campaign; what it holds already is not run again.
+    """
     seeds = 1 if quick else 20
     command = f"hil benchmark adaptation{' --quick' if quick else ''}"
-    count = 0
-
-    def count_up() -> None:
-        nonlocal count
-        count += 1
-        tick(count)
-
-    def claims(scenario: NoiseScenario, loss: float) -> Iterator[Claim]:
-        alone: dict[str, Filter] = {"likelihood": ASRUKF(filter_model(scenario), X0, P0)}
-        filters = alone if loss > 0.0 or quick else competitors(scenario)
+    scenarios = SCENARIOS[1:2] if quick else SCENARIOS
+    cases = grid(scenario=[each.name for each in scenarios], loss=(0.0, LOSS), run=range(seeds), quick=(quick,))
+    table = read_table(run_campaign(one_run, cases, folder, seed=SEED, version=source_version()))
+    found = []
+    for scenario, loss in product(scenarios, (0.0, LOSS)):
         how = f"{command}; {scenario.title}; {loss:.0%} lost; median of {seeds} seeds of {STEPS} steps"
-        for name, rows in ratios(scenario, filters, seeds, loss, count_up).items():
+        mine = (table["scenario"] == scenario.name) & (table["loss"] == loss)
+        for name in dict.fromkeys(table["filter"][mine]):
             limit: str | None = LOSS_LIMIT if loss > 0.0 else LIMIT
             if quick or not name.startswith("likelihood"):  # one seed cannot judge a median
                 limit = None
-            for state, ratio in zip(STATES, np.median(rows, axis=0), strict=True):
-                value = float(ratio) if np.isfinite(ratio) else None
+            for state in STATES:
+                rows = mine & (table["filter"] == name) & (table["state"] == state)
+                ratio = float(np.median(table["ratio"][rows]))
                 lost = ".lost" if loss > 0.0 else ""
-                yield Claim.judge(f"adaptation.{scenario.name}{lost}.{name}.{state}", value, "1", limit, how)
-
-    # A quick run shows that it works.
-    scenarios = SCENARIOS[1:2] if quick else SCENARIOS
-    found = [claim for scenario in scenarios for loss in (0.0, LOSS) for claim in claims(scenario, loss)]
+                value = ratio if np.isfinite(ratio) else None
+                found.append(Claim.judge(f"adaptation.{scenario.name}{lost}.{name}.{state}", value, "1", limit, how))
     how = f"{command}; processor time of a step beside that of the filter that does not adapt; n = 4, m = 3"
     cost, limit = cost_us(3 if quick else 9), None if quick else COST_LIMIT
     return [*found, Claim.judge("adaptation.cost", cost, "us", limit, how)]

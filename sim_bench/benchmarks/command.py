@@ -16,7 +16,7 @@ Tick = Callable[[int], None]
 
 def run_benchmark(
     name: str, rig: Rig, measure: Callable[[Tick], list[Claim]], json_path: Path | None, page: Path | None,
-    table: Callable[[list[Claim]], str] = claims_table,
+    table: Callable[[list[Claim]], str] = claims_table, *, own_bar: bool = False,
 ) -> bool:  # fmt: skip
     """Measure, show, write; returns whether every claim with a limit holds.
 
@@ -27,9 +27,10 @@ def run_benchmark(
         json_path: where the results go, or None.
         page: the page to update, or None.
         table: the claims as Markdown.
+        own_bar: `measure` shows its progress itself.
     """
     facts = provenance(config_hash=rig.config_hash())
-    with Progress(transient=True) as progress:
+    with Progress(transient=True, disable=own_bar) as progress:
         task = progress.add_task(name, total=None)
         claims = measure(lambda number: progress.update(task, completed=number))
     console = Console()
