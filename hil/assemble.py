@@ -8,7 +8,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.control.intsmc import IntsmcGains
 from servohil.control.reference import SineProfile, StepProfile
 from servohil.drivers.codec import Codec, DbcError, MessageProtection, load_codec
 from servohil.drivers.dbc import load_messages
@@ -46,7 +45,7 @@ def check(rig: Rig) -> None:
         DbcError: names the DBC, the message or signal, and what is allowed.
         GainError, ProfileError: name the condition that gains or reference break.
     """
-    build_gains(rig)
+    rig.control.gains()
     build_profile(rig)
     names = [*sensor_messages(rig), command_message(rig)]
     tables = {table.name: table for table in load_messages(rig.dbc_path, _protections(rig), names)}
@@ -144,11 +143,6 @@ def _filter_start(rig: Rig) -> dict[str, Any]:
         "beta": estimator.beta,
         "kappa": estimator.kappa,
     }
-
-
-def build_gains(rig: Rig) -> IntsmcGains:
-    """The law's gains; raises GainError naming the condition that is broken."""
-    return IntsmcGains(**rig.control.model_dump(exclude={"law"}))
 
 
 def build_profile(rig: Rig) -> SineProfile | StepProfile:

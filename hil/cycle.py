@@ -10,7 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.control import intsmc
+from servohil.control.laws import law
+from servohil.control.laws.catalogue import LAWS
 from servohil.drivers.codec import Kind
 from servohil.estimators.health import DIVERGED, GATED, NOT_FINITE_INPUT, REPAIRED
 from servohil.estimators.leakage import residual_monitor
@@ -72,7 +73,7 @@ class Cycle:
                 "codec": codec_f8,
                 **assemble.filter_sizes(rig),
                 "monitor": residual_monitor.ARENA_SIZE,
-                "law": intsmc.INTSMC_STATE_SIZE,
+                "law": law.STATE_SIZE,
                 "parameters": parameters.N_PARAMETERS,
                 "command": 1,
             },
@@ -89,6 +90,8 @@ class Cycle:
         self._sensing = Sensing(rig, self.codec)
         self._estimate_view = self._estimation.view
         self._tracking = Tracking(rig, self.arena.f8["law"], self.arena.f8["motion"])
+        tunable = getattr(rig.control, "switching_gain", 0.0) > 0.0
+        self._switching = LAWS[rig.control.law].switching if tunable else None
         self.parameters = parameters.parameter_table(rig)
         self._tunables = self.arena.f8["parameters"]
         self._tunables[: len(self.parameters)] = [entry.value for entry in self.parameters]
@@ -209,7 +212,8 @@ class Cycle:
         limits = self.rig.limits
         self.monitor.arena[residual_monitor.THRESHOLD_SIGMA] = values[parameters.THRESHOLD_SIGMA]
         self.monitor.arena[residual_monitor.CUSUM_THRESHOLD] = values[parameters.CUSUM_THRESHOLD]
-        self._tracking.gains[intsmc.SWITCHING] = values[parameters.SWITCHING_GAIN]
+        if self._switching is not None:
+            self._tracking.gains[self._switching] = values[len(self.parameters) + parameters.SWITCHING_GAIN]
         self._limits = gate_limits(
             float(values[parameters.COMMAND_MAX]), limits.command_slew_v_per_s, limits.ramp_down_s, self.dt
         )

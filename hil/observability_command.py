@@ -9,12 +9,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.control.intsmc import INTSMC_STATE_SIZE, intsmc_step
+from servohil.control.laws.catalogue import LAWS
+from servohil.control.laws.law import STATE_SIZE
 from servohil.control.reference import evaluate
 from servohil.estimators.model import Model
 from servohil.estimators.models import cylinder
 from servohil.estimators.observability import Observability, gramian_observability, lie_observability
-from servohil.hil.assemble import PA_PER_MPA, build_gains, build_model, build_profile
+from servohil.hil.assemble import PA_PER_MPA, build_model, build_profile
 from servohil.hil.claims import Claim, write_claims
 from servohil.hil.config import Rig
 from servohil.hil.config.controller import SineReference
@@ -72,7 +73,8 @@ def simulate_motion(rig: Rig, model: Model) -> Motion:
     else:
         period = reference.dwell_s * len(reference.levels_m)
     period = min(period, LONGEST_S)
-    profile, gains, law = build_profile(rig).vector(), build_gains(rig).vector(), np.zeros(INTSMC_STATE_SIZE)
+    profile, gains, law = build_profile(rig).vector(), rig.control.gains(), np.zeros(STATE_SIZE)
+    step, limit_v = LAWS[rig.control.law].step, rig.limits.command_max_v
     ref, e, jerk = np.zeros(4), np.zeros(3), np.zeros(3)
     evaluate(profile, reference.blend_s, 0.0, ref)
     start = float(ref[0])
@@ -84,7 +86,7 @@ def simulate_motion(rig: Rig, model: Model) -> Motion:
         evaluate(profile, k * model.dt, start, ref)
         e[:] = x[0] - ref[0], x[1] - ref[1], cylinder.acceleration(x, model.p) - ref[2]
         cylinder.jerk_model(x, u, model.p, jerk)
-        u[0] = intsmc_step(law, gains, e, ref[3], jerk[0], jerk[1], jerk[2], rig.limits.command_max_v, model.dt)
+        u[0] = step(law, gains, e, ref, *jerk, -limit_v, limit_v, model.dt)
         states[k], inputs[k] = x, u
         x = model.advance(x, u)
     what = f"one period ({period:.3g} s) of the {reference.kind} reference at {supply / 1e5:.3g} bar supply"

@@ -29,8 +29,9 @@ class Parameter(NamedTuple):
 
 
 # Positions in the parameter vector of the cycle state.
-THRESHOLD_SIGMA, CUSUM_THRESHOLD, SWITCHING_GAIN, COMMAND_MAX = range(4)
-OFFSET, AMPLITUDE, OMEGA = 4, 5, 6  # only with a sine reference
+THRESHOLD_SIGMA, CUSUM_THRESHOLD, COMMAND_MAX = range(3)
+OFFSET, AMPLITUDE, OMEGA = 3, 4, 5  # only with a sine reference
+SWITCHING_GAIN: Final = -1  # the last of the table, where the law has one
 
 N_PARAMETERS: Final = 7
 
@@ -41,7 +42,6 @@ def parameter_table(rig: Rig) -> list[Parameter]:
     table = [
         Parameter("leakage.threshold_sigma", "1", 3.0, 50.0, leakage.threshold_sigma),
         Parameter("leakage.cusum_threshold", "1", 5.0, 1e4, leakage.cusum_threshold),
-        Parameter("control.switching_gain", "m/s3", 0.01, 20.0 * control.switching_gain, control.switching_gain),
         Parameter("limits.command_max_v", "V", 0.1, limits.command_max_v, limits.command_max_v),
     ]
     if profile.kind == "sine":
@@ -52,6 +52,9 @@ def parameter_table(rig: Rig) -> list[Parameter]:
             Parameter("reference.amplitude_m", "m", 0.0, swing, profile.amplitude_m),
             Parameter("reference.omega_rad_per_s", "rad/s", 0.01, 100.0, profile.omega_rad_per_s),
         ]
+    switching = getattr(control, "switching_gain", 0.0)
+    if switching > 0.0:
+        table.append(Parameter("control.switching_gain", "m/s3", 0.01, 20.0 * switching, switching))
     return table
 
 
@@ -71,7 +74,7 @@ def change(values: Vector, index: int, value: float, table: Sequence[Parameter],
 
 def fits_together(values: Vector, table: Sequence[Parameter], rig: Rig) -> bool:
     """Whether the reference that these values describe stays inside the position and speed limits of the rig."""
-    if len(table) <= OFFSET:
+    if not _has_sine(table):
         return True
     limits = rig.limits
     offset, swing, omega = values[OFFSET], values[AMPLITUDE], values[OMEGA]
@@ -81,7 +84,11 @@ def fits_together(values: Vector, table: Sequence[Parameter], rig: Rig) -> bool:
 
 def put_into_profile(values: Vector, table: Sequence[Parameter], profile: Vector) -> None:
     """Write the reference parameters into the profile vector of `control.reference`."""
-    if len(table) > OFFSET:
+    if _has_sine(table):
         profile[reference.OFFSET] = values[OFFSET]
         profile[reference.AMPLITUDE] = values[AMPLITUDE]
         profile[reference.OMEGA] = values[OMEGA]
+
+
+def _has_sine(table: Sequence[Parameter]) -> bool:
+    return len(table) > OMEGA

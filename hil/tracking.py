@@ -6,7 +6,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.control import intsmc
+from servohil.control.laws import law
+from servohil.control.laws.catalogue import LAWS
 from servohil.control.reference import evaluate
 from servohil.control.stopping import come_to_rest
 from servohil.estimators.models import cylinder
@@ -28,20 +29,21 @@ class Tracking:
 
     Args:
         rig: the configuration.
-        law: float64 state of the control law, (INTSMC_STATE_SIZE,).
+        law_state: float64 state of the control law, (law.STATE_SIZE,).
         motion: float64 state of this part, (`motion_size(rig)`,).
 
     Raises:
         GainError, ProfileError: named condition.
     """
 
-    def __init__(self, rig: Rig, law: Vector, motion: Vector) -> None:
+    def __init__(self, rig: Rig, law_state: Vector, motion: Vector) -> None:
         self.dt = rig.loop.period_ns * 1e-9
-        self.gains = assemble.build_gains(rig).vector()
+        self.gains = rig.control.gains()
+        self._step = LAWS[rig.control.law].step
         self.reference = np.full(4, nan)  # position m and three derivatives; NaN where no law runs
         self.profile = motion[PROFILE:]
         self.profile[:] = assemble.build_profile(rig).vector()
-        self._law = law
+        self._law = law_state
         self._motion = motion
         self._plant = rig.cylinder.parameters().vector()
         self._error = np.zeros(3)
@@ -54,14 +56,14 @@ class Tracking:
 
     @property
     def sigma(self) -> float:
-        """Sliding variable of the last step, m/s."""
-        return float(self._law[intsmc.SIGMA])
+        """Sliding variable of the last step, in the unit of the law; 0 where it has none."""
+        return float(self._law[law.SIGMA])
 
     def enter(self, x: Vector, cycle: int) -> None:
         """The device state changed: start from the estimated position and velocity, with a fresh law."""
         motion = self._motion
         motion[START_M], motion[START_MPS], motion[ENTERED_CYCLE] = x[0], x[1], cycle
-        intsmc.reset(self._law)
+        law.reset(self._law)
 
     def command(self, device: int, cycle: int, x: Vector, u: Vector, limit_v: float) -> float:
         """What the law asks for, V; 0.0 in a state where none runs. Fills `reference`.
@@ -87,6 +89,4 @@ class Tracking:
         error, jerk = self._error, self._jerk
         error[:2] = x[:2] - reference[:2]
         error[2] = cylinder.acceleration(x, self._plant) - reference[2]
-        return float(
-            intsmc.intsmc_step(self._law, self.gains, error, reference[3], jerk[0], jerk[1], jerk[2], limit_v, self.dt)
-        )
+        return float(self._step(self._law, self.gains, error, reference, *jerk.tolist(), -limit_v, limit_v, self.dt))

@@ -25,7 +25,7 @@ def refusal(*arguments: object, mistakes: int = 1) -> str:
     [
         ({"stroke_m = ": "stroke_mm = "}, ["rig.toml", "cylinder.stroke_mm", "stroke_m"]),
         ({'stroke_m = "600 mm"': 'stroke_m = "210 bar"'}, ["rig.toml", "cylinder.stroke_m", "210 bar"]),
-        ({"c2 = 13440.0": "c2 = 1.0"}, ["c1", "c2", "c3", "Hurwitz"]),
+        ({"c = [120.0, 13440.0, 768000.0]": "c = [120.0, 1.0, 768000.0]"}, ["c = (120.0, 1.0", "Hurwitz"]),
         ({"amplitude_m = 0.15": "amplitude_m = 0.35"}, ["rig.toml", "reference.amplitude_m", "0.58"]),
         ({'position = "Position.position"': 'position = "Position.place"'}, ["bench.dbc", "place", "Position"]),
     ],

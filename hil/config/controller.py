@@ -45,20 +45,6 @@ class Estimator(Section):
     initial_std: InitialNoise
 
 
-class Control(Section):
-    """[control]: gains of the integral terminal sliding mode law (P3 chapter 4)."""
-
-    law: Literal["intsmc"]
-    alpha1: Annotated[float, Field(gt=1.0, lt=4.0 / 3.0)]  # P3 eq. 4.15, n = 3
-    c1: Positive
-    c2: Positive
-    c3: Positive
-    decay_per_s: Positive
-    switching_gain: Positive  # m/s3
-    boundary_layer: Positive  # m/s
-    singularity_bound: Annotated[float, Field(gt=0.0, le=1.0)]
-
-
 class SineReference(Section):
     """[reference] kind = "sine": offset + amplitude sin(omega t)."""
 

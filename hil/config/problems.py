@@ -71,9 +71,11 @@ def _translate(error: ErrorDetails, raw: Mapping[str, Any], root: type[BaseModel
         case "extra_forbidden":
             return Problem(path, _unknown_key(str(path[-1]), _known_keys(path[:-1], raw, root)))
         case "union_tag_not_found":
-            return Problem((*path, "kind"), "missing; allowed: " + " or ".join(_kinds(path, raw, root)))
+            tag, values = _tag(path, raw, root)
+            return Problem((*path, tag), "missing; allowed: " + " or ".join(values))
         case "union_tag_invalid":
-            return Problem((*path, "kind"), "must be " + " or ".join(_kinds(path, raw, root)))
+            tag, values = _tag(path, raw, root)
+            return Problem((*path, tag), "must be " + " or ".join(values))
         case "value_error":
             return Problem(path, str(error["ctx"]["error"]))
         case kind:
@@ -103,7 +105,7 @@ def _models_at(annotation: Any) -> list[type[BaseModel]]:
 
 
 def _tables_at(path: Path, raw: Mapping[str, Any], root: type[BaseModel]) -> list[type[BaseModel]]:
-    """The model classes that the table at `path` may be; one, unless its `kind` is missing."""
+    """The model classes that the table at `path` may be; one, unless the key that tells them apart is missing."""
     tables = [root]
     node: Any = raw
     for part in path:
@@ -112,19 +114,25 @@ def _tables_at(path: Path, raw: Mapping[str, Any], root: type[BaseModel]) -> lis
         if fields:  # otherwise `part` is the free name of an entry, as in bus.messages.Position
             tables = [model for field in fields for model in _models_at(field.annotation)]
         if len(tables) > 1 and isinstance(node, Mapping):
-            kind = node.get("kind")
-            tables = [table for table in tables if kind in get_args(table.model_fields["kind"].annotation)]
+            tag = _tag_of(tables)
+            tables = [table for table in tables if node.get(tag) in get_args(table.model_fields[tag].annotation)]
     return tables
 
 
-def _kinds(path: Path, raw: Mapping[str, Any], root: type[BaseModel]) -> list[str]:
-    """Values of `kind` that choose between the tables possible at `path`, quoted."""
+def _tag_of(tables: list[type[BaseModel]]) -> str:
+    """The key that tells alternative tables apart: the first of each, e.g. "kind" or "law"."""
+    return next(iter(tables[0].model_fields))
+
+
+def _tag(path: Path, raw: Mapping[str, Any], root: type[BaseModel]) -> tuple[str, list[str]]:
+    """The key that chooses between the tables possible at `path`, and its values, quoted."""
     models = [
         model
         for table in _tables_at(path[:-1], raw, root)
         for model in _models_at(table.model_fields[str(path[-1])].annotation)
     ]
-    return [repr(kind) for model in models for kind in get_args(model.model_fields["kind"].annotation)]
+    tag = _tag_of(models)
+    return tag, [repr(value) for model in models for value in get_args(model.model_fields[tag].annotation)]
 
 
 def _unknown_key(key: str, known: list[str]) -> str:

@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, PrivateAttr, field_validator
 
-from servohil.hil.config.controller import Control, Estimator, Leakage, Limits, Reference
+from servohil.hil.config.control import Control
+from servohil.hil.config.controller import Estimator, Leakage, Limits, Reference
 from servohil.hil.config.hydraulics import Cylinder, Plant
 from servohil.hil.config.section import Positive, Section
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.control.intsmc import INTSMC_STATE_SIZE, SIGMA, IntsmcGains, intsmc_step, reset
+from servohil.control.laws.intsmc import IntsmcGains, intsmc_step
+from servohil.control.laws.law import SIGMA, STATE_SIZE, reset
 from servohil.control.reference import SineProfile, evaluate
 from servohil.estimators import SRUKF, Model
 from servohil.estimators.models import cylinder
@@ -34,9 +35,7 @@ SLEW_V = 2.0  # per cycle, where the gate cuts
 # Poles near 80 rad/s: lambda = 80, c1 K / layer = 80, c1 r^2 + (1 + c2) r + c3 with damping 0.7.
 BENCH_GAINS = IntsmcGains(
     alpha1=1.01,
-    c1=120.0,
-    c2=13440.0,
-    c3=768000.0,
+    c=(120.0, 13440.0, 768000.0),
     decay_per_s=80.0,
     switching_gain=800.0,
     boundary_layer=1200.0,
@@ -104,7 +103,7 @@ def simulate(gains: IntsmcGains, scenario: Scenario, limit_v: float = 10.0) -> R
         np.diag(MEASUREMENT_STD) ** 2,
     )
     unmeasured = np.full(3, np.nan)
-    profile, law, vector = BENCH_SINE.vector(), np.zeros(INTSMC_STATE_SIZE), gains.vector()
+    profile, law, vector = BENCH_SINE.vector(), np.zeros(STATE_SIZE), gains.vector()
     ref, e, jerk = np.zeros(4), np.zeros(3), np.zeros(3)
     n = round(scenario.duration_s / T)
     hold_at, hold_m = round(scenario.hold_at_s / T), 0.0
@@ -141,7 +140,7 @@ def simulate(gains: IntsmcGains, scenario: Scenario, limit_v: float = 10.0) -> R
                 evaluate(profile, 0.0, start_m, ref)
             e[:] = x[0] - ref[0], x[1] - ref[1], acceleration(x, model) - ref[2]
             jerk_model(x, np.array([0.0, reading[3], reading[4]]), model, jerk)
-            asked = intsmc_step(law, vector, e, ref[3], jerk[0], jerk[1], jerk[2], limit_v, T * (1 + missed))
+            asked = intsmc_step(law, vector, e, ref, *jerk, -limit_v, limit_v, T * (1 + missed))
             computed = min(max(asked, computed - SLEW_V), computed + SLEW_V)
             missed = 0
         log_est[k], log_u[k], log_sigma[k] = x * SI, computed, law[SIGMA]

@@ -163,7 +163,7 @@ ONE_LINE = [
     (('tank = "PressureSupplyTank.tank"', 'tank = "tank"'), 'signals.tank = "tank": must be "Message.signal" of the DBC'),
     # missing
     (("speed_max_mps = 1.0", ""), 'limits.speed_max_mps: missing; allowed: a number in m/s, or a text such as "1 mm/s" in m/s, um/s, mm/s'),
-    (('law = "intsmc"', ""), "control.law: missing; allowed: 'intsmc'"),
+    (('law = "intsmc"', ""), "control.law: missing; allowed: 'intsmc' or 'integral_terminal' or 'fintsc' or 'ntsmc' or 'smc' or 'pole_placement' or 'pid'"),
     (('dbc = "bench.dbc"', ""), "bus.dbc: missing; allowed: a text"),
     (("seed = 1", ""), "plant.seed: missing; allowed: a whole number"),
     (("phase = 0.5", ""), "loop.phase: missing; allowed: a number"),

@@ -71,7 +71,10 @@ def test_the_motion_begins_with_forces_and_flows_in_balance(tmp_path: Path) -> N
 
 @pytest.mark.parametrize(
     ("edits", "words"),
-    [({"stroke_m = ": "stroke_mm = "}, "cylinder.stroke_mm"), ({"c2 = 13440.0": "c2 = 1.0"}, "Hurwitz")],
+    [
+        ({"stroke_m = ": "stroke_mm = "}, "cylinder.stroke_mm"),
+        ({"c = [120.0, 13440.0, 768000.0]": "c = [120.0, 1.0, 768000.0]"}, "Hurwitz"),
+    ],
 )
 def test_a_wrong_rig_is_refused_in_one_line(tmp_path: Path, edits: dict[str, str], words: str) -> None:
     done = CliRunner().invoke(main, ["observability", str(write_rig(tmp_path, edits))])
