@@ -1,6 +1,6 @@
 """Come to rest smoothly: the reference of HOLD, from the position and velocity measured when it is entered.
 
-The velocity falls by the septic blend of `reference`: v = v0 (1 - beta(t / T)), so that acceleration and jerk begin
+The velocity falls by the septic blend of `references`: v = v0 (1 - beta(t / T)), so that acceleration and jerk begin
 and end at zero; the way is v0 T / 2. A valve that is simply shut on a moving mass cavitates one chamber and overloads
 the other.
 """
@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from servohil.control.reference import septic
+from servohil.control.references.blend import septic
 
 Vector = NDArray[np.float64]
 

@@ -8,15 +8,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.control.reference import SineProfile, StepProfile
+from servohil.control.references import Profile
 from servohil.drivers.codec import Codec, DbcError, MessageProtection, load_codec
 from servohil.drivers.dbc import load_messages
 from servohil.estimators import ASRUKF, SRUKF, Model
 from servohil.estimators.leakage.residual_monitor import ResidualMonitor
 from servohil.estimators.models import cylinder
 from servohil.hil.config import Rig
-from servohil.hil.config.controller import SineReference
 from servohil.hil.events import Bounds
+from servohil.hil.reference_profile import checked_profile
 
 NS_PER_S: Final = 1_000_000_000
 NOISE_PERIOD_S: Final = 1e-3  # process noise is configured per millisecond, whatever the rate
@@ -145,16 +145,9 @@ def _filter_start(rig: Rig) -> dict[str, Any]:
     }
 
 
-def build_profile(rig: Rig) -> SineProfile | StepProfile:
-    """The reference profile, checked against the rig's limits."""
-    reference, limits = rig.reference, rig.limits
-    profile: SineProfile | StepProfile
-    if isinstance(reference, SineReference):
-        profile = SineProfile(reference.offset_m, reference.amplitude_m, reference.omega_rad_per_s, reference.blend_s)
-    else:
-        profile = StepProfile(reference.levels_m, reference.dwell_s, reference.ramp_s, reference.blend_s)
-    profile.check_limits(limits.position_min_m, limits.position_max_m, limits.speed_max_mps)
-    return profile
+def build_profile(rig: Rig) -> Profile:
+    """The reference profile, checked against the rig's limits. Raises ProfileError, TrajectoryFileError."""
+    return checked_profile(rig.reference, rig.path.parent, rig.limits)
 
 
 def build_monitor(rig: Rig, arena: NDArray[np.float64]) -> ResidualMonitor:

@@ -136,7 +136,9 @@ class Cycle:
         if self._diagnose(device, sensed.complete, skipped, t_ns):
             found |= LEAK_ALARM
         x = self._estimate_view.x
-        requested = self._tracking.command(device, inputs.cycle, x, self._sensing.u, self._limits.command_max_v)
+        requested = self._tracking.command(
+            device, inputs.cycle, x, self._sensing.u, float(self._command_v[0]), self._limits, 1 + skipped
+        )
         ready = bool(words[STARTED]) and not found & SENSOR_STALE
         decision = gate(
             self._gate_state(), found, command, requested, ready, self._reactions, self._limits, 1 + skipped
@@ -179,7 +181,7 @@ class Cycle:
             estimation.start(y)
             words[STARTED] = 1
             return 0
-        saturated = abs(u[0]) >= self._limits.command_max_v
+        saturated = abs(u[0]) >= self._limits.command_max_v - self.rig.control.dead_band_v
         estimation.hold(saturated or words[LEAK_SINCE] >= 0)
         estimation.predict(u, skipped)
         status = estimation.step(u, y)
@@ -297,3 +299,4 @@ class Cycle:
             monitor.cusum_threshold,
         )  # fmt: skip
         self._estimation.noise(record.noise)
+        record.law[0] = tracking.flags

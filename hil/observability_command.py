@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import pi
 from pathlib import Path
 from typing import Final
 
@@ -11,14 +10,13 @@ from numpy.typing import NDArray
 
 from servohil.control.laws.catalogue import LAWS
 from servohil.control.laws.law import STATE_SIZE
-from servohil.control.reference import evaluate
+from servohil.control.references import evaluate
 from servohil.estimators.model import Model
 from servohil.estimators.models import cylinder
 from servohil.estimators.observability import Observability, gramian_observability, lie_observability
 from servohil.hil.assemble import PA_PER_MPA, build_model, build_profile
 from servohil.hil.claims import Claim, write_claims
 from servohil.hil.config import Rig
-from servohil.hil.config.controller import SineReference
 from servohil.hil.provenance import provenance
 
 Vector = NDArray[np.float64]
@@ -65,15 +63,11 @@ def observability_command(rig: Rig, json_path: Path | None) -> list[str]:
 
 
 def simulate_motion(rig: Rig, model: Model) -> Motion:
-    """One period of the reference under the rig's own law, both on the estimator's model; without noise."""
+    """One period of the reference, or its first 30 s, under the rig's law, all on the estimator's model; no noise."""
     supply, tank = (rig.plant.supply_pa, rig.plant.tank_pa) if rig.plant else (rig.limits.supply_min_pa, 0.0)
-    reference = rig.reference
-    if isinstance(reference, SineReference):
-        period = 2.0 * pi / reference.omega_rad_per_s
-    else:
-        period = reference.dwell_s * len(reference.levels_m)
-    period = min(period, LONGEST_S)
-    profile, gains, law = build_profile(rig).vector(), rig.control.gains(), np.zeros(STATE_SIZE)
+    reference = build_profile(rig)
+    period = min(reference.period_s, LONGEST_S)
+    profile, gains, law = reference.vector(), rig.control.gains(), np.zeros(STATE_SIZE)
     step, limit_v = LAWS[rig.control.law].step, rig.limits.command_max_v
     ref, e, jerk = np.zeros(4), np.zeros(3), np.zeros(3)
     evaluate(profile, reference.blend_s, 0.0, ref)
@@ -89,7 +83,8 @@ def simulate_motion(rig: Rig, model: Model) -> Motion:
         u[0] = step(law, gains, e, ref, *jerk, -limit_v, limit_v, model.dt)
         states[k], inputs[k] = x, u
         x = model.advance(x, u)
-    what = f"one period ({period:.3g} s) of the {reference.kind} reference at {supply / 1e5:.3g} bar supply"
+    part = "one period" if period == reference.period_s else "the beginning"
+    what = f"{part} ({period:.3g} s) of the {rig.reference.kind} reference at {supply / 1e5:.3g} bar supply"
     return Motion(states[before:], inputs[before:], what)
 
 

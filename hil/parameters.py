@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.control import reference
+from servohil.control.references import sine
 from servohil.hil.commands import Result
 from servohil.hil.config import Rig
 
@@ -73,21 +73,23 @@ def change(values: Vector, index: int, value: float, table: Sequence[Parameter],
 
 
 def fits_together(values: Vector, table: Sequence[Parameter], rig: Rig) -> bool:
-    """Whether the reference that these values describe stays inside the position and speed limits of the rig."""
+    """Whether the reference that these values describe stays inside the limits of the rig."""
     if not _has_sine(table):
         return True
     limits = rig.limits
     offset, swing, omega = values[OFFSET], values[AMPLITUDE], values[OMEGA]
     inside = offset - swing >= limits.position_min_m and offset + swing <= limits.position_max_m
-    return bool(inside and swing * omega <= limits.speed_max_mps)
+    slow = swing * omega <= limits.speed_max_mps
+    most = limits.acceleration_max_mps2
+    return bool(inside and slow and (most is None or swing * omega**2 <= most))
 
 
 def put_into_profile(values: Vector, table: Sequence[Parameter], profile: Vector) -> None:
-    """Write the reference parameters into the profile vector of `control.reference`."""
+    """Write the reference parameters into the profile vector of `control.references`."""
     if _has_sine(table):
-        profile[reference.OFFSET] = values[OFFSET]
-        profile[reference.AMPLITUDE] = values[AMPLITUDE]
-        profile[reference.OMEGA] = values[OMEGA]
+        profile[sine.OFFSET] = values[OFFSET]
+        profile[sine.AMPLITUDE] = values[AMPLITUDE]
+        profile[sine.OMEGA] = values[OMEGA]
 
 
 def _has_sine(table: Sequence[Parameter]) -> bool:

@@ -5,6 +5,7 @@ from typing import Final
 
 import numpy as np
 
+from servohil.control.dead_band import opening
 from servohil.drivers.codec import Codec
 from servohil.hil.assemble import SENSOR_SIGNALS, message_of
 from servohil.hil.config import Rig
@@ -17,7 +18,7 @@ class Sensing:
     """Reads one cycle's measurements out of an attached codec.
 
     `y` (3,) = position m, pressure A MPa, pressure B MPa, NaN where this cycle brought nothing;
-    `u` (3,) = valve V over the past interval, supply Pa, tank Pa.
+    `u` (3,) = valve V over the past interval less its dead band, supply Pa, tank Pa.
     """
 
     def __init__(self, rig: Rig, codec: Codec) -> None:
@@ -28,6 +29,7 @@ class Sensing:
         # The spool signal improves the estimate but is not needed for it: a rig may have a valve without feedback.
         needed = [name for name in SENSOR_SIGNALS if name != "spool"]
         self._needed = sorted({codec.message_index(message_of(paths[name])) for name in needed})
+        self._dead_band_v = rig.control.dead_band_v
         self.y = np.full(3, nan)
         self.u = np.zeros(3)
 
@@ -44,7 +46,7 @@ class Sensing:
         tank = values[slots[4]]
         spool = values[slots[5]] if fresh[messages[5]] else nan
         self.y[:] = position, pressure_a / PA_PER_MPA, pressure_b / PA_PER_MPA
-        self.u[:] = (spool if isfinite(spool) else last_command_v), supply, tank
+        self.u[:] = opening(spool if isfinite(spool) else last_command_v, self._dead_band_v), supply, tank
         complete = isfinite(position + pressure_a + pressure_b + supply + tank)
         oldest = t_ns - min(last_good_ns[index] for index in self._needed)
         worst = max(bad_in_a_row[index] for index in self._needed)

@@ -51,7 +51,7 @@ FIELDS: Final[tuple[tuple[str, str, str, str], ...]] = (
     ("ref_velocity_mps", "<f8", "m/s", "its first derivative"),
     ("ref_acceleration_mps2", "<f8", "m/s2", "its second derivative"),
     ("ref_jerk_mps3", "<f8", "m/s3", "its third derivative"),
-    ("sliding", "<f8", "m/s", "sliding variable sigma of the control law"),
+    ("sliding", "<f8", "1", "sliding variable of the control law, in its own unit (intsmc: m/s); 0 without one"),
     ("law_v", "<f8", "V", "what the control law asked for"),
     ("command_v", "<f8", "V", "what the gate permitted and the frame carries"),
     ("residual_a_pa", "<f8", "Pa", "measured - estimated pressure A"),
@@ -75,25 +75,26 @@ FIELDS: Final[tuple[tuple[str, str, str, str], ...]] = (
     ("measurement_doubt_position", "<f8", "1", "relative standard deviation of that estimate; NaN: not estimated"),
     ("measurement_doubt_pressure_a", "<f8", "1", "relative standard deviation of that estimate; NaN: not estimated"),
     ("measurement_doubt_pressure_b", "<f8", "1", "relative standard deviation of that estimate; NaN: not estimated"),
+    ("law_flags", "<i8", "bits", "of the control law: 1 at a limit, 2 an input was not finite, 4 no authority"),
 )
 
-SNAPSHOT_VERSION: Final = 2
+SNAPSHOT_VERSION: Final = 3
 SNAPSHOT = np.dtype([(name, kind) for name, kind, _, _ in FIELDS])
 
 
 class SnapshotRecord:
     """One Snapshot in memory of its own: `row` by field name, and views of its parts for fast writing.
 
-    `integers` (21,), then `measured` (6,), `estimate` (4,), `deviation` (4,), `rest` and `noise` (14,), all in the
-    order of FIELDS.
+    `integers` (21,), then `measured` (6,), `estimate` (4,), `deviation` (4,), `rest`, `noise` (14,) and `law` (1,), all
+    in the order of FIELDS.
     """
 
     def __init__(self) -> None:
         record = np.zeros(1, dtype=SNAPSHOT)
         names = [name for name, _, _, _ in FIELDS]
-        n_integers = sum(kind == "<i8" for _, kind, _, _ in FIELDS)
-        starts = ("est_position_m", "std_position_m", "nis", "process_std_position_m")
-        estimate, deviation, rest, noise = (names.index(name) for name in starts)
+        n_integers = names.index("position_m")
+        starts = ("est_position_m", "std_position_m", "nis", "process_std_position_m", "law_flags")
+        estimate, deviation, rest, noise, law = (names.index(name) for name in starts)
         words = record.view(np.float64)
         self.row: Any = record[0]
         self.bytes: memoryview = record.view(np.uint8).data
@@ -102,4 +103,5 @@ class SnapshotRecord:
         self.estimate: NDArray[np.float64] = words[estimate:deviation]
         self.deviation: NDArray[np.float64] = words[deviation:rest]
         self.rest: NDArray[np.float64] = words[rest:noise]
-        self.noise: NDArray[np.float64] = words[noise:]
+        self.noise: NDArray[np.float64] = words[noise:law]
+        self.law: NDArray[np.int64] = record.view(np.int64)[law:]

@@ -128,7 +128,7 @@ class ActuatorNode:
         self._places = [self._place(getattr(rig.signals, name)) for name in (*SENSOR_SIGNALS, "status_word")]
         self._timeout_ns = int(settings.command_timeout_s * NS_PER_S)
         self._last_command_ns = -1
-        self._active_since_ns = -1
+        self.active_since_ns = -1
         self._driving = False
         self.spool_v = 0.0
 
@@ -182,17 +182,17 @@ class ActuatorNode:
             self._last_command_ns = t_ns
             self._driving = bool(word & DRIVE_BITS)
             self.spool_v = float(codec.values[self._command_slot]) if self._driving else 0.0
-            if word & ACTIVE_BIT and self._active_since_ns < 0:
-                self._active_since_ns = t_ns
+            if word & ACTIVE_BIT and self.active_since_ns < 0:
+                self.active_since_ns = t_ns
         elif t_ns - self._last_command_ns > self._timeout_ns:
             self._driving = False
             self.spool_v = 0.0  # the valve driver's own last line: no valid command, spool to centre
 
     def _inject(self, t_ns: int) -> None:
         leak = self._leak
-        if leak is None or self._leaking or self._active_since_ns < 0:
+        if leak is None or self._leaking or self.active_since_ns < 0:
             return
-        if t_ns - self._active_since_ns >= leak.at_s * NS_PER_S:
+        if t_ns - self.active_since_ns >= leak.at_s * NS_PER_S:
             self.plant.set_leak(leak.kind, leak.coefficient)
             self._leaking = True
 
@@ -201,7 +201,7 @@ class ActuatorNode:
         leaking = self._leaking and leak is not None
         kind = LEAK_KINDS.index(leak.kind) + 1 if leaking and leak else 0
         size = leak.coefficient if leaking and leak else 0.0
-        self.log.append((t_ns, x[0], x[1], x[2], x[3], spool_v, size, kind, int(self._active_since_ns >= 0)))
+        self.log.append((t_ns, x[0], x[1], x[2], x[3], spool_v, size, kind, int(self.active_since_ns >= 0)))
 
 
 def plant_section(rig: Rig) -> Plant:

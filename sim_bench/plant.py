@@ -17,6 +17,7 @@ from servohil.estimators.models.cylinder import (
     K_EA,
     K_EB,
     K_I,
+    LOAD,
     MASS,
     PA_PER_MPA,
     STROKE,
@@ -200,6 +201,16 @@ class CylinderPlant:
         self._u[:] = min(max(valve_v, -SPOOL_LIMIT_V), SPOOL_LIMIT_V), self.supply_pa, self.tank_pa
         noise = self._std * normals * sqrt(dt / NOISE_PERIOD_S)
         plant_step(self._x, self._u, self._p, noise, dt, self._substeps, self._work)
+
+    def set_load(self, force_n: float) -> None:
+        """Set the load force from now on, N; > 0 opposes extension.
+
+        Raises:
+            ValueError: not finite.
+        """
+        if not isfinite(force_n):
+            raise ValueError(f"load force = {force_n!r} N: must be finite")
+        self._p[LOAD] = force_n
 
     def set_leak(self, kind: str, coefficient: float) -> None:
         """Set the leak of one kind from now on, m3/(s Pa); 0 closes it.

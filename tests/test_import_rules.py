@@ -41,11 +41,12 @@ FILE_MAY_IMPORT = {
     "drivers/open_port.py": {"can"},
     "drivers/python_can_port.py": {"can"},
     "estimators/linear_algebra/reflection.py": {"llvmlite"},
+    "hil/reference_profile.py": {"scipy"},  # the spline of a trajectory, at start-up
     "sim_bench/campaign_table.py": {"pyarrow"},
     "sim_bench/benchmarks/filterpy_peer.py": {"filterpy"},  # a peer where installed, else the row says so
 }
 # Inside a function only: `hil run` must work on a rig PC without the simulator.
-COMMANDS_THAT_SIMULATE = {"hil/cli.py", "hil/benchmark_cli.py"}
+COMMANDS_THAT_SIMULATE = {"hil/cli.py", "hil/benchmark_cli.py", "hil/evaluate_cli.py"}
 PURE = ("estimators/", "control/", "hil/gate.py", "hil/cycle.py")
 IMPURE = {
     "asyncio", "datetime", "fcntl", "io", "logging", "mmap", "multiprocessing", "os", "pathlib", "random", "secrets",

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
-from servohil.control.laws import fintsc, integral_terminal, intsmc, ntsmc, pid, pole_placement, smc
+from servohil.control.laws import afintsc, fintsc, integral_terminal, intsmc, ntsmc, pid, pole_placement, smc
 
 Step = Callable[..., float]
 
@@ -22,6 +22,7 @@ LAWS: Final = {
         integral_terminal.IntegralTerminalGains, integral_terminal.integral_terminal_step, integral_terminal.SWITCHING
     ),
     "fintsc": Law(fintsc.FintscGains, fintsc.fintsc_step, fintsc.SWITCHING),
+    "afintsc": Law(afintsc.AfintscGains, afintsc.afintsc_step, fintsc.SWITCHING),
     "ntsmc": Law(ntsmc.NtsmcGains, ntsmc.ntsmc_step, ntsmc.SWITCHING),
     "smc": Law(smc.SmcGains, smc.smc_step, smc.SWITCHING),
     "pole_placement": Law(pole_placement.PolePlacementGains, pole_placement.pole_placement_step, None),

@@ -29,7 +29,7 @@ class Law(Section):
         """The gain vector of the law; raises GainError naming the condition that is broken."""
         from servohil.control.laws.catalogue import LAWS
 
-        numbers: dict[str, Any] = self.model_dump(exclude={"law", "dead_band_v"})
+        numbers: dict[str, Any] = self.model_dump(exclude={"law", "dead_band_v"}, by_alias=True)
         law: str = self.law  # type: ignore[attr-defined]
         vector: NDArray[np.float64] = LAWS[law].gains(**numbers).vector()
         return vector
@@ -64,6 +64,25 @@ class Fintsc(Law):
 
     law: Literal["fintsc"]
     mu: Positive
+    alpha1: Exponent
+    power: Annotated[float, Field(gt=1.0, lt=2.0)]
+    c: Coefficients
+    switching_gain: NonNegative  # m/s3
+    boundary_layer: Positive  # m
+    epsilon: Positive  # m
+    singularity_bound: Bound
+    dead_band_v: NonNegative = 0.0
+
+
+class Afintsc(Law):
+    """FINTSC with mu from a fuzzy system of the error and its rate."""
+
+    law: Literal["afintsc"]
+    fuzzy: Literal["type2", "type1"] = "type2"
+    error_scale_m: Annotated[float, Field(gt=0.0, serialization_alias="error_scale")]
+    rate_scale_mps: Annotated[float, Field(gt=0.0, serialization_alias="rate_scale")]
+    footprint: Annotated[float, Field(ge=0.0, le=0.15)]
+    gamma: Positive
     alpha1: Exponent
     power: Annotated[float, Field(gt=1.0, lt=2.0)]
     c: Coefficients
@@ -126,6 +145,7 @@ Control = Annotated[
     Annotated[Intsmc, Tag("intsmc")]
     | Annotated[IntegralTerminal, Tag("integral_terminal")]
     | Annotated[Fintsc, Tag("fintsc")]
+    | Annotated[Afintsc, Tag("afintsc")]
     | Annotated[Ntsmc, Tag("ntsmc")]
     | Annotated[Smc, Tag("smc")]
     | Annotated[PolePlacement, Tag("pole_placement")]

@@ -1,8 +1,8 @@
-"""What the controller does with the signals: [estimator], [control], [reference], [limits], [leakage]."""
+"""What the controller does with the signals: [estimator], [limits], [leakage]."""
 
 from typing import Annotated, Literal
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Field
 
 from servohil.hil.config.section import NonNegative, Positive, Section
 
@@ -45,42 +45,13 @@ class Estimator(Section):
     initial_std: InitialNoise
 
 
-class SineReference(Section):
-    """[reference] kind = "sine": offset + amplitude sin(omega t)."""
-
-    kind: Literal["sine"]
-    offset_m: float
-    amplitude_m: NonNegative
-    omega_rad_per_s: Positive
-    blend_s: Positive  # from the measured position into the profile
-
-
-class StepReference(Section):
-    """[reference] kind = "step": each level in turn, over and over, with a smooth ramp between them."""
-
-    kind: Literal["step"]
-    levels_m: Annotated[tuple[float, ...], Field(min_length=1)]
-    dwell_s: Positive  # from one change of level to the next, ramp included
-    ramp_s: Positive  # from one level to the next
-    blend_s: Positive  # from the measured position to the first level
-
-
-def _kind(table: object) -> object:
-    return table.get("kind") if isinstance(table, dict) else getattr(table, "kind", None)
-
-
-# A function, as pydantic's own discriminator refuses fields with a validator such as Section's.
-Reference = Annotated[
-    Annotated[SineReference, Tag("sine")] | Annotated[StepReference, Tag("step")], Discriminator(_kind)
-]
-
-
 class Limits(Section):
     """[limits]: beyond these the gate stops the cylinder; the command is clipped to its own."""
 
     position_min_m: float
     position_max_m: float
     speed_max_mps: Positive
+    acceleration_max_mps2: Positive | None = None  # of the reference alone; without it any
     pressure_min_pa: float
     pressure_max_pa: float
     supply_min_pa: float

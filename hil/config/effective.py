@@ -12,8 +12,14 @@ RIG_FILE: Final = "rig.toml"
 
 
 def effective_tables(rig: Rig, rate_hz: float | None = None, seed: int | None = None) -> dict[str, Any]:
-    """The rig as plain tables. `rate_hz` scales the period of every message with the loop; `seed` is the plant's."""
-    tables: dict[str, Any] = rig.model_dump(mode="json", exclude_none=True)
+    """The rig as plain tables, a trajectory's samples among them.
+
+    Args:
+        rig: as loaded.
+        rate_hz: a rate instead of the rig's; the period of every message scales with it.
+        seed: one instead of the plant's.
+    """
+    tables: dict[str, Any] = rig.self_contained.model_dump(mode="json", exclude_none=True)
     if rate_hz is not None:
         ratio = rig.loop.rate_hz / rate_hz
         tables["loop"]["rate_hz"] = rate_hz

@@ -6,19 +6,17 @@ A rule runs when every table it reads is valid by itself, so that one load names
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from servohil.hil.config.controller import Limits, SineReference, StepReference
+from servohil.hil.config.controller import Limits
 from servohil.hil.config.hydraulics import Cylinder, Plant
 from servohil.hil.config.problems import Problem
+from servohil.hil.config.reference_rules import reference_inside_limits
 from servohil.hil.config.rig import Bus, Loop, Signals, Telemetry
 
 DATA_IDS: Final = 16  # E2E profile 2: one per value of the 4-bit counter
 TIMEOUT_PERIODS: Final = 3  # one late and one lost command must not stop the valve
-# Peak over mean speed of the ramp between levels, a polynomial of degree 7 (control.reference.SEPTIC_PEAK_SLOPE).
-RAMP_PEAK: Final = 35.0 / 16.0
 LISTEN: Final = re.compile(r"tcp/127\.0\.0\.1:(\d{1,5})")
 COMMAND_SIGNALS: Final = ("command", "control_word")
 
@@ -86,32 +84,6 @@ def _limits_inside_stroke(folder: Path, limits: Limits, cylinder: Cylinder) -> I
             yield Problem(("limits", name), f"must be within the stroke, 0..{cylinder.stroke_m} m")
 
 
-def _reference_inside_limits(
-    folder: Path, reference: SineReference | StepReference, limits: Limits
-) -> Iterator[Problem]:
-    low, high = limits.position_min_m, limits.position_max_m
-    if isinstance(reference, SineReference):
-        reach = (reference.offset_m - reference.amplitude_m, reference.offset_m + reference.amplitude_m)
-        if reach[0] < low or reach[1] > high:
-            text = f"offset_m = {reference.offset_m} makes it {reach[0]:g}..{reach[1]:g} m; limits are {low}..{high} m"
-            yield Problem(("reference", "amplitude_m"), text)
-        speed = reference.amplitude_m * reference.omega_rad_per_s
-        if speed > limits.speed_max_mps:
-            text = f"peak speed {speed:g} m/s; limits.speed_max_mps is {limits.speed_max_mps}"
-            yield Problem(("reference", "omega_rad_per_s"), text)
-        return
-    for index, level in enumerate(reference.levels_m):
-        if not low <= level <= high:
-            yield Problem(("reference", "levels_m", index), f"limits are {low}..{high} m")
-    if reference.ramp_s > reference.dwell_s:
-        yield Problem(("reference", "ramp_s"), f"must be at most dwell_s = {reference.dwell_s}, which contains it")
-    steps = [abs(after - before) for before, after in pairwise((*reference.levels_m, reference.levels_m[0]))]
-    speed = RAMP_PEAK * max(steps) / reference.ramp_s
-    if speed > limits.speed_max_mps:
-        text = f"peak speed {speed:g} m/s; limits.speed_max_mps is {limits.speed_max_mps}"
-        yield Problem(("reference", "ramp_s"), text)
-
-
 def _listens_on_loopback(folder: Path, telemetry: Telemetry) -> Iterator[Problem]:
     match = LISTEN.fullmatch(telemetry.listen)
     if match is None or int(match.group(1)) > 65535:
@@ -150,7 +122,7 @@ RELATIONS: Final = (
     Relation(("limits",), _limits_in_order),
     Relation(("limits",), _ramp_within_slew),
     Relation(("limits", "cylinder"), _limits_inside_stroke),
-    Relation(("reference", "limits"), _reference_inside_limits),
+    Relation(("reference", "limits"), reference_inside_limits),
     Relation(("telemetry",), _listens_on_loopback),
     Relation(("plant", "loop"), _timeout_spans_periods),
     Relation(("plant", "cylinder"), _plant_inside_stroke),

@@ -12,8 +12,9 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, PrivateAttr, field_validator
 
 from servohil.hil.config.control import Control
-from servohil.hil.config.controller import Estimator, Leakage, Limits, Reference
+from servohil.hil.config.controller import Estimator, Leakage, Limits
 from servohil.hil.config.hydraulics import Cylinder, Plant
+from servohil.hil.config.reference import Reference, TrajectoryReference
 from servohil.hil.config.section import Positive, Section
 
 NS_PER_S = 1_000_000_000
@@ -139,6 +140,13 @@ class Rig(Section):
         return self._path.parent / self.bus.dbc
 
     @property
+    def self_contained(self) -> "Rig":
+        """This rig with the samples of a trajectory in place of the file that has them. Raises TrajectoryFileError."""
+        if not isinstance(self.reference, TrajectoryReference):
+            return self
+        return self.model_copy(update={"reference": self.reference.inline(self._path.parent)})
+
+    @property
     def plant_cylinder(self) -> Cylinder:
         """The true cylinder of the simulated node: [cylinder] with the overrides of [plant.cylinder]."""
         overrides = self.plant.cylinder.model_dump(exclude_none=True) if self.plant else {}
@@ -146,8 +154,8 @@ class Rig(Section):
 
     def config_hash(self) -> str:
         """SHA-256 of what the configuration says, 64 hex digits: equal for "210 bar" and 21e6, whatever the layout or
-        comments of the file; covers the bytes of the DBC, not where the files lie."""
-        content: dict[str, Any] = self.model_dump(mode="json")
+        comments of the file; covers the bytes of the DBC and a trajectory's samples, not where the files lie."""
+        content: dict[str, Any] = self.self_contained.model_dump(mode="json")
         content["dbc_sha256"] = hashlib.sha256(self.dbc_path.read_bytes()).hexdigest()
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from servohil.control.laws.intsmc import IntsmcGains, intsmc_step
 from servohil.control.laws.law import SIGMA, STATE_SIZE, reset
-from servohil.control.reference import SineProfile, evaluate
+from servohil.control.references import SineProfile, evaluate
 from servohil.estimators import SRUKF, Model
 from servohil.estimators.models import cylinder
 from servohil.estimators.models.cylinder import CylinderParameters, acceleration, jerk_model

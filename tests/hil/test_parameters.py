@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from servohil.control.reference import SineProfile
+from servohil.control.references import SineProfile
 from servohil.hil import parameters
 from servohil.hil.commands import Result
 from servohil.hil.config import Rig, load_rig

@@ -1,0 +1,32 @@
+"""`hil evaluate ...`: Monte Carlo on the bench, with limits."""
+
+import sys
+from pathlib import Path
+
+import click
+
+from servohil.hil.command_line import DEFAULT_RIG, EXIT_REFUSED, load, one_clear_line
+
+
+@click.group()
+def evaluate() -> None:
+    """Judge parts of the controller on the simulated bench; results in the one format of claims."""
+
+
+@evaluate.command("control")
+@click.option("--page", type=click.Path(path_type=Path), help="Put the table into this page, between its markers.")
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write provenance and claims here.")
+@click.option("--quick", is_flag=True, help="One seed of two scenarios.")
+def evaluate_control(quick: bool, json_path: Path | None, page: Path | None) -> None:
+    """Every control law in the same closed loop: accuracy, settling, chatter, effort, robustness."""
+    with one_clear_line():
+        from servohil.sim_bench.benchmarks.command import run_benchmark
+        from servohil.sim_bench.evaluations.control import control_claims
+        from servohil.sim_bench.evaluations.control_page import control_tables
+
+        folder = Path("runs") / ("control-quick" if quick else "control")
+        holds = run_benchmark(
+            "control", load(DEFAULT_RIG), lambda _: control_claims(quick, folder), json_path, page, control_tables,
+            own_bar=True,
+        )  # fmt: skip
+    sys.exit(0 if holds else EXIT_REFUSED)

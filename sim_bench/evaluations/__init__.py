@@ -1,0 +1,1 @@
+"""`hil evaluate`: Monte Carlo on the bench, with limits."""
