@@ -9,6 +9,7 @@ written at the end from all of them.
 """
 
 import fcntl
+import hashlib
 import json
 import os
 import traceback
@@ -23,7 +24,7 @@ from typing import Any, Final
 import numpy as np
 
 import servohil
-from servohil._compiled_cache import compiled_sources_hash
+from servohil._compiled_cache import ROOMS
 from servohil.hil.claims import write_atomically
 from servohil.sim_bench.campaign_cases import SEED, CampaignError, Case, case_seed, plain_cases, plain_row
 from servohil.sim_bench.campaign_table import TABLE, Row, write_table
@@ -121,8 +122,13 @@ def run_campaign(
 
 
 def source_version() -> str:
-    """A `version` that changes with whatever is compiled: a hash of the project's sources."""
-    return compiled_sources_hash(Path(servohil.__file__).parent)
+    """A `version` that changes with every edit: a hash of the project's own sources. 16 hex digits."""
+    package = Path(servohil.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(path for room in ROOMS for path in (package / room).rglob("*.py")):
+        digest.update(path.relative_to(package).as_posix().encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def _run_all(jobs: Sequence[Callable[[], None]], workers: int | None, progress: bool) -> None:

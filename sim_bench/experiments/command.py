@@ -15,7 +15,7 @@ from servohil.sim_bench.experiments.reproduce import reproduce
 PAPERS: Final = {
     "p1": "P1: adaptive square-root UKF, arm and servo-hydraulic cylinder",
     "p2": "P2: second-order filters, electro-hydrostatic actuator",
-    "p4": "P4: sensitivity-based adaptive SR-UKF, one-link arm",
+    "p4": "P4: sensitivity-based adaptive SR-UKF, one-link arm and pendubot",
 }
 
 
@@ -24,13 +24,13 @@ def list_lines() -> list[str]:
     return [f"{each.id:<12} {each.source}: {each.title}" for each in CATALOGUE.values()]
 
 
-def run_reproduce(name: str, runs: int, out: Path, say: Callable[[str], None]) -> None:
+def run_reproduce(name: str, runs: int, out: Path, say: Callable[[str], None], recording: Path | None = None) -> None:
     """Repeat one experiment or "all"; pages go to OUT/PAPER.md, figures beside them, finished runs to OUT/runs.
 
     Raises:
-        UnknownExperimentError, CampaignError: the message says what and where.
+        UnknownExperimentError, RecordingError, CampaignError: the message says what and where.
     """
-    experiments = chosen(name)
+    experiments = chosen(name, recording)
     began = time.monotonic()
     out.mkdir(parents=True, exist_ok=True)
     results = reproduce(experiments, runs, out / "runs")
@@ -40,7 +40,7 @@ def run_reproduce(name: str, runs: int, out: Path, say: Callable[[str], None]) -
             continue
         figures = {each.id: _figures(each, out) for each in mine if each.filters}
         path = out / (f"{paper}.md" if name == "all" else f"{name}.md")
-        command = f"`hil reproduce {name} --runs {runs}`"
+        command = f"`hil reproduce {name} --runs {runs}{'' if recording is None else ' --data PATH'}`"
         facts = provenance()
         minutes = (time.monotonic() - began) / 60.0
         how = (

@@ -18,7 +18,7 @@ LOST: Final = 100.0  # % NMSE: worse than the mean of the true path
 
 class Data(NamedTuple):
     """One run: inputs (N, n_u), samples (N, m), true states (N, n) or whatever is estimated; variances of both noises,
-    (N, n) and (N, m), for a filter that knows them.
+    (N, n) and (N, m), for a filter that knows them; where the parameters start in this run, if that is drawn.
     """
 
     inputs: Matrix
@@ -26,6 +26,7 @@ class Data(NamedTuple):
     states: Matrix
     q: Matrix
     r: Matrix
+    start: Matrix | None = None
 
 
 class Metric(NamedTuple):
@@ -123,6 +124,7 @@ class Experiment:
         track: (N, n) what is compared with `Data.states`.
         dt_s: sample time, s.
         figures: by the name of its file, e.g. "p1-figure7"; without any: truth, estimates and errors of one run.
+        data_digest: of data that come from a file; its runs are none of another file's.
     """
 
     id: str
@@ -139,9 +141,20 @@ class Experiment:
     track: Callable[[Filter, Data], Matrix] = estimated_states
     dt_s: float = 1e-3
     figures: Mapping[str, Figure] = field(default_factory=dict)
+    data_digest: str = ""
 
 
 KNOWS: Final = "SR-UKF that knows Q and R"
+
+
+def estimates(experiment: Experiment, name: str, data: Data) -> Matrix:
+    """(N, n) of one filter; `KNOWS` is told both covariances of every step."""
+    one = experiment.filters[name]()
+    with np.errstate(all="ignore"):  # what a filter makes of hopeless covariances is a result
+        if name == KNOWS:
+            noise = [np.einsum("ki,ij->kij", variances, np.eye(variances.shape[1])) for variances in (data.q, data.r)]
+            return np.asarray(one.run(data.inputs, data.samples, Q=noise[0], R=noise[1]).x)
+        return experiment.track(one, data)
 
 
 def better(name: str, *others: str) -> Callable[[Results], bool]:

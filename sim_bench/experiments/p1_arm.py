@@ -1,7 +1,7 @@
 """P1 section 3.1: the arm of three links, all six states measured, noise known, unknown, and changing (tables 1-5)."""
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Final
 
 import numpy as np
@@ -13,12 +13,14 @@ from servohil.sim_bench.experiments.experiment import (
     KNOWS,
     Data,
     Experiment,
+    Figure,
     PaperClaim,
     better,
     near,
     settled,
     within,
 )
+from servohil.sim_bench.experiments.figures import draw
 from servohil.sim_bench.noise import Change, gaussian, scheduled
 from servohil.sim_bench.plants import three_link_arm
 from servohil.sim_bench.plants.simulate import simulate
@@ -102,6 +104,8 @@ def name_of(start: tuple[float, ...]) -> str:
 
 CONSTANT: Final = record(1e-6, 1e-4)
 VARYING: Final = record(1e-5, 1e-5, ((5.0, 15.0, 1e-4, 1e-7),))
+POSITIONS: Final = partial(draw, states=STATES[:3])
+VELOCITIES: Final = partial(draw, states=STATES[3:])
 OURS: Final = PaperClaim(
     "ours: the likelihood form is within 1.10 times of the filter that knows Q and R, from 3 s on",
     near(1.10, "ASr-UKF, likelihood", KNOWS),
@@ -128,6 +132,7 @@ EXPERIMENTS: Final = (
             within(2.0, "Sr-UKF", "ASr-UKF", "AUKF", "UKF", "AEKF", "EKF"),
         ), OURS),
         (*NOTES, "The start of the estimate is not given for this table; that of table 2 was taken."),
+        figures={"p1-figure1": Figure("Figure 1: positions, noise known and constant", POSITIONS)},
     ),
     Experiment(
         "p1-table2", "3-link arm, noise unknown and constant", "P1 table 2, figures 2 and 3", STATES, CONSTANT,
@@ -138,6 +143,10 @@ EXPERIMENTS: Final = (
             "EKF": (78.12, 21.00, 11.49, 10.32, 16.95, 20.57), "AEKF": (2.57, 0.49, 0.41, 2.47, 1.80, 4.80),
         },
         UNKNOWN_CLAIMS, NOTES,
+        figures={
+            "p1-figure2": Figure("Figure 2: positions, noise unknown and constant", POSITIONS),
+            "p1-figure3": Figure("Figure 3: velocities, noise unknown and constant", VELOCITIES),
+        },
     ),
     Experiment(
         "p1-table3", "3-link arm, noise unknown and constant, several starts", "P1 table 3", STATES, CONSTANT,
@@ -161,6 +170,10 @@ EXPERIMENTS: Final = (
             "EKF": (18.92, 3.94, 8.54, 4.71, 7.91, 9.53), "AEKF": (0.83, 0.29, 0.27, 1.02, 0.69, 0.70),
         },
         UNKNOWN_CLAIMS, NOTES,
+        figures={
+            "p1-figure4": Figure("Figure 4: positions, noise unknown and changing", POSITIONS),
+            "p1-figure5": Figure("Figure 5: velocities, noise unknown and changing", VELOCITIES),
+        },
     ),
     Experiment(
         "p1-table5", "3-link arm, noise unknown and changing, several starts", "P1 table 5", STATES, VARYING,

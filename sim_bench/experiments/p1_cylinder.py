@@ -9,7 +9,18 @@ import numpy as np
 from servohil.estimators import AEKF, ASRUKF, AUKF, EKF, SRUKF, UKF, Model
 from servohil.estimators.filter import Filter
 from servohil.sim_bench import noise_scenarios
-from servohil.sim_bench.experiments.experiment import KNOWS, Data, Experiment, PaperClaim, better, lost, near, within
+from servohil.sim_bench.experiments.experiment import (
+    KNOWS,
+    Data,
+    Experiment,
+    Figure,
+    PaperClaim,
+    better,
+    lost,
+    near,
+    within,
+)
+from servohil.sim_bench.experiments.figures import draw
 from servohil.sim_bench.noise_scenarios import NoiseScenario
 
 STEPS: Final = 20_000
@@ -80,6 +91,7 @@ EXPERIMENTS: Final = (
             within(2.0, "ASr-UKF", "Sr-UKF", "UKF", "AUKF", "EKF", "AEKF"),
         ), OURS),
         NOTES,
+        figures={"p1-figure7": Figure("Figure 7: cylinder, noise known and constant", draw)},
     ),
     Experiment(
         "p1-table7", "cylinder, noise unknown and constant", "P1 table 7, figure 8", STATES, record(1e-3, 1e-3),
@@ -93,6 +105,7 @@ EXPERIMENTS: Final = (
             "ASr-UKF is better than Sr-UKF, UKF and EKF on every state", better("ASr-UKF", "Sr-UKF", "UKF", "EKF")
         ), OURS),
         NOTES,
+        figures={"p1-figure8": Figure("Figure 8: cylinder, noise unknown and constant", draw)},
     ),
     Experiment(
         "p1-table8", "cylinder, noise unknown and changing", "P1 table 8, figure 9", STATES, record(1e-7, 1e-5, 100.0),
@@ -110,6 +123,7 @@ EXPERIMENTS: Final = (
             OURS,
         ),
         NOTES,
+        figures={"p1-figure9": Figure("Figure 9: cylinder, noise unknown and changing", draw)},
     ),
     Experiment(
         "p1-table9", "cylinder in the laboratory", "P1 table 9", STATES, record(1e-7, 1e-5), {}, {},

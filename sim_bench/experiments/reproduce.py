@@ -6,29 +6,15 @@ from typing import Any, Final
 
 import numpy as np
 
-import servohil
-from servohil._compiled_cache import compiled_sources_hash
-from servohil.sim_bench.campaign import run_campaign
+from servohil.sim_bench.campaign import run_campaign, source_version
 from servohil.sim_bench.campaign_table import read_table
-from servohil.sim_bench.experiments.catalogue import CATALOGUE
-from servohil.sim_bench.experiments.experiment import KNOWS, Data, Experiment, Matrix, Result
+from servohil.sim_bench.experiments.experiment import Experiment, Result, estimates
 
 SEED: Final = 1
 
 
-def estimates(experiment: Experiment, name: str, data: Data) -> Matrix:
-    """(N, n) of one filter; `KNOWS` is told both covariances of every step."""
-    one = experiment.filters[name]()
-    with np.errstate(all="ignore"):  # what a filter makes of hopeless covariances is a result
-        if name == KNOWS:
-            noise = [np.einsum("ki,ij->kij", variances, np.eye(variances.shape[1])) for variances in (data.q, data.r)]
-            return np.asarray(one.run(data.inputs, data.samples, Q=noise[0], R=noise[1]).x)
-        return experiment.track(one, data)
-
-
-def run_case(case: dict[str, Any], rng: np.random.Generator) -> list[dict[str, Any]]:
+def run_case(experiment: Experiment, rng: np.random.Generator) -> list[dict[str, Any]]:
     """One run: a row for every filter and state with the metric of the whole run and of what comes after the start."""
-    experiment = CATALOGUE[case["experiment"]]
     data = experiment.data(rng)
     start, of = experiment.start, experiment.metric.of
     rows = []
@@ -42,6 +28,12 @@ def run_case(case: dict[str, Any], rng: np.random.Generator) -> list[dict[str, A
     return rows
 
 
+def _case(experiment: Experiment) -> dict[str, Any]:
+    """What its runs are known by."""
+    named = {"experiment": experiment.id}
+    return {**named, "data": experiment.data_digest} if experiment.data_digest else named
+
+
 def reproduce(experiments: Sequence[Experiment], runs: int, folder: Path) -> dict[str, dict[str, Result]]:
     """Results by experiment and filter; finished runs in `folder` are not run again.
 
@@ -49,11 +41,15 @@ def reproduce(experiments: Sequence[Experiment], runs: int, folder: Path) -> dic
         CampaignError: see `run_campaign`.
     """
     testable = [experiment for experiment in experiments if experiment.filters]
-    cases = [{"experiment": experiment.id, "run": k} for experiment in testable for k in range(runs)]
-    if not cases:
+    if not testable:
         return {}
-    version = compiled_sources_hash(Path(servohil.__file__).parent)
-    table = read_table(run_campaign(run_case, cases, folder, seed=SEED, version=version))
+    by_id = {experiment.id: experiment for experiment in testable}
+    cases = [{**_case(experiment), "run": k} for experiment in testable for k in range(runs)]
+
+    def run(case: dict[str, Any], rng: np.random.Generator) -> list[dict[str, Any]]:
+        return run_case(by_id[case["experiment"]], rng)
+
+    table = read_table(run_campaign(run, cases, folder, seed=SEED, version=source_version()))
     results: dict[str, dict[str, Result]] = {}
     for experiment in testable:
         mine = table["experiment"] == experiment.id

@@ -14,6 +14,7 @@ a3 where it multiplies the leakage, which is next to nothing.
 P2 gives no number for either fault, only that throttles were set: the severities here are ours.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -131,7 +132,14 @@ def _model(function: ModelFunction, parameters: EhaParameters, integrator: str, 
     )  # fmt: skip
 
 
-def simulate_scenario(U: ArrayLike, noise_std: ArrayLike, seed: int, *, pump: bool = False) -> Truth:
+def simulate_scenario(
+    U: ArrayLike,
+    noise_std: ArrayLike,
+    seed: int,
+    *,
+    pump: bool = False,
+    faults: Mapping[str, EhaParameters] = FAULTS,
+) -> Truth:
     """The truth from rest through the phases of `SCENARIO`; a shorter input ends earlier.
 
     The state goes on from phase to phase, so that the pressure steps with the friction.
@@ -140,6 +148,7 @@ def simulate_scenario(U: ArrayLike, noise_std: ArrayLike, seed: int, *, pump: bo
         U: (N, 1) pump flow m3/s, or with `pump` its speed rad/s, at P2's sample time; N <= 11000.
         noise_std: of what is added to the state per sample: a number or (3,).
         seed: of the noise; every phase has its own stream.
+        faults: the parameters of every phase of `SCENARIO`.
 
     Raises:
         ValueError: the input is longer than the scenario, or `simulate` refuses it.
@@ -154,6 +163,6 @@ def simulate_scenario(U: ArrayLike, noise_std: ArrayLike, seed: int, *, pump: bo
     for (fault, _), end, stream in zip(SCENARIO, ends, streams, strict=True):
         part = inputs[start:end]
         if len(part):
-            parts.append(simulate(nonlinear_model(FAULTS[fault], pump=pump), x, part, noise_std, int(stream)))
+            parts.append(simulate(nonlinear_model(faults[fault], pump=pump), x, part, noise_std, int(stream)))
             x, start = parts[-1].X[-1], end
     return Truth(np.concatenate([part.X for part in parts]), np.concatenate([part.Y for part in parts]))
