@@ -18,7 +18,8 @@ REPEAT, PIECES, TABLE = 2, 3, 4  # [.., 0 or 1, pieces, breaks (pieces + 1), the
 COEFFICIENTS = 8  # of (t - break)^0 to ^7
 POINTS: Final = 33  # per piece, and
 ALL_POINTS: Final = 4000  # in all, at least, where the extremes are looked for
-JOIN: Final = 1e-6  # of the scale of each derivative: a larger jump between two pieces is none of rounding
+JOIN: Final = 1e-6  # of the greatest value of each derivative: more is no rounding of the coefficients
+ROUNDING: Final = 1e-12  # of the position, as it shows in the derivatives of a trajectory that hardly moves
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -88,16 +89,18 @@ class TrajectoryProfile(Profile):
 
     def _require_continuous(self) -> None:
         begins, ends = self._sampled(2).transpose(1, 0, 2)
-        scale = np.abs(self._sampled(POINTS)).max(axis=(0, 1)) + np.finfo(float).tiny
+        greatest = np.abs(self._sampled(POINTS)).max(axis=(0, 1))
+        rounding = ROUNDING * greatest[0] / np.diff(self.breaks_s).min() ** np.arange(4)
+        allowed = JOIN * greatest + rounding
+        jumps = np.abs(begins[1:] - ends[:-1])
         for derivative in range(4):
-            jumps = np.abs(begins[1:, derivative] - ends[:-1, derivative])
-            if jumps.size and jumps.max() > JOIN * scale[derivative]:
-                at_s = self.breaks_s[1 + int(jumps.argmax())]
-                raise ProfileError(f"reference trajectory: derivative {derivative} jumps at {at_s:g} s")
-            at_ends = np.abs([begins[0, derivative], ends[-1, derivative]])
-            if derivative > 0 and at_ends.max() > JOIN * scale[derivative]:
+            if (jumps[:, derivative] > allowed[derivative]).any():
+                at_s = float(self.breaks_s[1 + int(jumps[:, derivative].argmax())])
+                raise ProfileError(f"reference trajectory: derivative {derivative} jumps", at_s)
+        for derivative in (1, 2, 3):
+            if max(abs(begins[0, derivative]), abs(ends[-1, derivative])) > allowed[derivative]:
                 raise ProfileError(f"reference trajectory: derivative {derivative} must be 0 at its begin and end")
-        if self.repeat and abs(begins[0, 0] - ends[-1, 0]) > JOIN * scale[0]:
+        if self.repeat and abs(begins[0, 0] - ends[-1, 0]) > allowed[0]:
             raise ProfileError(
                 f"reference repeat = true: the trajectory ends at {ends[-1, 0]:.6g} m; it must end where it begins, "
                 f"at {begins[0, 0]:.6g} m"

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from servohil.hil.config.control import Control
 from servohil.hil.config.controller import Limits
 from servohil.hil.config.hydraulics import Cylinder, Plant
 from servohil.hil.config.problems import Problem
@@ -108,6 +109,11 @@ def _plant_inside_stroke(folder: Path, plant: Plant | None, cylinder: Cylinder) 
         yield Problem(("plant", "position_m"), f"must be within the stroke, 0..{stroke} m")
 
 
+def _dead_band_within_command(folder: Path, control: Control, limits: Limits) -> Iterator[Problem]:
+    if control.dead_band_v >= limits.command_max_v:
+        yield Problem(("control", "dead_band_v"), f"must be below limits.command_max_v = {limits.command_max_v}")
+
+
 class Relation(NamedTuple):
     """A rule and the tables it is given, in this order."""
 
@@ -121,6 +127,7 @@ RELATIONS: Final = (
     Relation(("signals", "bus"), _signals_have_messages),
     Relation(("limits",), _limits_in_order),
     Relation(("limits",), _ramp_within_slew),
+    Relation(("control", "limits"), _dead_band_within_command),
     Relation(("limits", "cylinder"), _limits_inside_stroke),
     Relation(("reference", "limits"), reference_inside_limits),
     Relation(("telemetry",), _listens_on_loopback),

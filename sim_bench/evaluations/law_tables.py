@@ -1,8 +1,8 @@
 """A [control] table for every law, with one bandwidth: four poles, or what comes nearest, at 80 rad/s on the bench.
 
 The sliding laws have one switching gain, 800 m/s3: more than what a valve gain that is wrong by 20 % asks for. Their
-boundary layers put the pole inside the layer at the same 80 rad/s. mu and the layer of the synergetic law were chosen
-by trial, as its poles move with S. PID knows no model and cannot have this bandwidth, as the load swings on its oil at
+boundary layers put the pole inside the layer at the same 80 rad/s. mu and the layer of the synergetic laws were chosen
+by trial, as their poles move with S. PID knows no model and cannot have this bandwidth, as the load swings on its oil at
 75 rad/s: twice its proportional gain makes it oscillate. Its gains were chosen by trial for the smallest error.
 """
 
@@ -24,6 +24,11 @@ LAW_TABLES: Final[dict[str, dict[str, Any]]] = {
     "fintsc": {
         "law": "fintsc", "mu": 0.003, "alpha1": 1.01, "power": 1.2, "c": C, "switching_gain": SWITCHING,
         "boundary_layer": 50.0, "epsilon": 1.0, "singularity_bound": 0.97,
+    },
+    "afintsc": {
+        "law": "afintsc", "fuzzy": "type2", "error_scale_m": 1e-3, "rate_scale_mps": 0.02, "footprint": 0.1,
+        "gamma": 0.006, "alpha1": 1.01, "power": 1.2, "c": C, "switching_gain": SWITCHING, "boundary_layer": 50.0,
+        "epsilon": 1.0, "singularity_bound": 0.97,
     },
     "ntsmc": {
         "law": "ntsmc", "beta": [40.0, 6400.0], "power": [1.05, 1.05], "switching_gain": SWITCHING,

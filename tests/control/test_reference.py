@@ -130,9 +130,9 @@ def test_a_profile_that_passes_the_check_keeps_the_limits(profile: Profile, star
     assert seen[:, 0].max() <= 0.58
     assert np.abs(seen[:, 1]).max() <= speed
     assert np.abs(seen[:, 2]).max() <= acceleration
-    with pytest.raises(ProfileError, match="m/s( when entered from .* m)?: allowed up to"):
+    with pytest.raises(ProfileError, match=r"m/s( when entered from .* m)?: allowed up to"):
         profile.check_limits(0.02, 0.58, speed * 0.995, acceleration)
-    with pytest.raises(ProfileError, match="m/s2( when entered from .* m)?: allowed up to"):
+    with pytest.raises(ProfileError, match=r"m/s2( when entered from .* m)?: allowed up to"):
         profile.check_limits(0.02, 0.58, speed, acceleration * 0.995)
 
 

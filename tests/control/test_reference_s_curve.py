@@ -9,7 +9,7 @@ from servohil.control.references.s_curve import fastest_move
 
 # distance, speed, acceleration, jerk, and the total time by hand.
 CASES = [
-    (1.0, 0.5, 1.0, 2.0, 2.0 + 0.5 + 0.5),  # all seven phases: h / v + v / a + a / j
+    (1.0, 0.5, 1.0, 4.0, 2.0 + 0.5 + 0.25),  # all seven phases: h / v + v / a + a / j
     (0.4, 0.2, 2.0, 5.0, 2.0 + 2.0 * 0.2),  # acceleration not reached: h / v + 2 sqrt(v / j)
     (0.5, 2.0, 1.0, 4.0, 0.25 + np.sqrt(0.25**2 + 4.0 * 0.5)),  # speed not reached: a / j + sqrt((a / j)^2 + 4 h / a)
     (0.016, 2.0, 1.0, 1.0, 4.0 * 0.2),  # neither: 4 cbrt(h / 2 j)
