@@ -210,3 +210,14 @@ def test_compiled_equals_plain(profile: Profile) -> None:
         plain = np.empty(4)
         getattr(evaluate, "py_func", evaluate)(profile.vector(), t_s, START_M, plain)
         np.testing.assert_allclose(plain, at(profile, t_s), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["sine", "steps", "ramp", "ramp_down", "s_curve", "prbs", "for_ever"])
+def test_it_begins_again_after_its_period_and_not_before(kind: str) -> None:
+    profile = STANDING[kind]
+    times = 4.0 + profile.blend_s + np.linspace(0.0, min(profile.period_s, 20.0), 101)
+    first = np.array([at(profile, t_s) for t_s in times])
+    np.testing.assert_allclose([at(profile, t_s + profile.period_s) for t_s in times], first, atol=1e-8)
+    for part in (0.5, 0.99):
+        other = np.array([at(profile, t_s + part * profile.period_s) for t_s in times])
+        assert np.abs(other - first)[:, 0].max() > 1e-4

@@ -71,3 +71,12 @@ def test_the_profile_gets_the_values(rig: Rig) -> None:
     profile = SineProfile(0.3, 0.15, 2.0, 2.0).vector()
     put_into_profile(values, parameter_table(rig), profile)
     assert (profile == SineProfile(0.25, 0.1, 3.0, 2.0).vector()).all()
+
+
+def test_a_reference_beyond_the_acceleration_limit_is_refused_where_there_is_one(rig: Rig) -> None:
+    limits = rig.limits.model_copy(update={"acceleration_max_mps2": 2.0})
+    table, values = parameter_table(rig), values_of(rig)  # 0.15 m
+    strict = rig.model_copy(update={"limits": limits})
+    assert change(values, parameters.OMEGA, 4.0, table, strict) == Result.OUT_OF_RANGE  # 2.4 m/s2
+    assert change(values, parameters.OMEGA, 3.6, table, strict) == Result.ACCEPTED
+    assert change(values, parameters.OMEGA, 4.0, table, rig) == Result.ACCEPTED

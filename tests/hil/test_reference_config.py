@@ -124,15 +124,20 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
     assert line == f'reference.file = "none.csv": {expected}'
 
 
-def test_a_spline_too_fast_names_the_lines(tmp_path: Path) -> None:
-    rig = loaded(tmp_path, "trajectory", file=CSV.replace("11,c,0.31", "\n10.6,c,0.5"))
-    with pytest.raises(
-        ProfileError, match=r"way.csv: between lines \d and \d: reference .* reaches .*: allowed .*, at"
-    ):
-        build_profile(rig)
-    rig = loaded(tmp_path, "trajectory", limits="acceleration_max_mps2 = 0.5")
-    with pytest.raises(ProfileError, match=r"way.csv: between lines \d and \d: .* m/s2: allowed up to 0.5 m/s2, at"):
-        build_profile(rig)
+def test_a_spline_too_fast_names_the_lines_between_which_it_is(tmp_path: Path) -> None:
+    way = 'file = "way.csv"'
+    slow_then_fast = "t_s,position_m\n0,0.2\n5,0.2\n\n10,0.2\n10.2,0.5\n15,0.5\n20,0.5\n"  # 1.5 m/s at least
+    samples = "t_s = [0, 5, 10, 10.2, 15, 20]\nposition_m = [0.2, 0.2, 0.2, 0.5, 0.5, 0.5]"
+    with pytest.raises(ProfileError) as caught:
+        build_profile(loaded(tmp_path, "trajectory", {way: samples}))
+    at_s = caught.value.at_s
+    assert at_s is not None and "way.csv" not in str(caught.value)
+    with pytest.raises(ProfileError) as named:
+        build_profile(loaded(tmp_path, "trajectory", file=slow_then_fast))
+    lines = {0.0: "2 and 3", 5.0: "3 and 5", 10.0: "5 and 6", 10.2: "6 and 7", 15.0: "7 and 8"}
+    between = lines[max(begin for begin in lines if begin <= at_s)]
+    assert str(named.value) == f"{tmp_path / 'way.csv'}: between lines {between}: {caught.value}"
+    assert between != "2 and 3"
 
 
 def test_the_trajectory_goes_through_its_samples_and_rests_at_its_ends(tmp_path: Path) -> None:
