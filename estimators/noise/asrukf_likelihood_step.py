@@ -14,8 +14,8 @@ from servohil.estimators.arena import COUNTERS, N_DIVERGED, arena_offsets
 from servohil.estimators.health import DIVERGED, GATED, NOT_FINITE_INPUT, REPAIRED, WRONG_SIZE
 from servohil.estimators.measurement_update import admit, commit
 from servohil.estimators.noise.adaptive_layout import HOLD, N_UPDATES, adaptive_offsets
-from servohil.estimators.noise.noise_layout import WRITTEN, entry_size, noise_offsets
-from servohil.estimators.noise.noise_likelihood import restart, take_turn
+from servohil.estimators.noise.noise_layout import GROWN, WRITTEN, entry_size, noise_offsets
+from servohil.estimators.noise.noise_likelihood import grow, restart, take_turn
 from servohil.estimators.noise.noise_scale import gauge
 from servohil.estimators.noise.noise_window import regress
 from servohil.estimators.sigma_point.sigma_point_pairs import predict_pairs
@@ -113,6 +113,10 @@ def step(arena: Vector, work: Vector, p: Vector, u: Vector, y: Vector) -> int:
         restart(own, n, m, factor)
     elif take_turn(own, n, m, RING, WINDOW, TURN, CHANGE_LIMIT, hold, factor, room) or started:
         adaptive[N_UPDATES] += 1.0
+        if own[GROWN] > 0.0:
+            grow(own, n, m, factor)
+            for i in range(n * n):
+                arena[a_factor + i] = work[w_factor + i]
         theta = noise_offsets(n, m)[0]
         for i in range(n):
             for j in range(n):

@@ -72,6 +72,7 @@ class NoiseEstimator:
         own[theta:anchor] = own[anchor:std] = _logs(np.concatenate([q, r]))
         own[std:motion] = inf
         own[last_y:curvature] = np.nan
+        own[self._at[20] : self._at[20] + self.n] = np.square(factor).sum(axis=0)
         restart(own, self.n, self.m, factor)
 
     def std_of_logs(self, own: Vector) -> Vector:

@@ -18,8 +18,9 @@ from servohil.estimators.noise.noise_window import lane_count
     HELD,  # passes that changed nothing
     CHANGES,  # times that older entries were dropped
     BY_DATA_R,  # 1: R starts from the data
+    GROWN,  # logarithm by which Q and R have just grown together, before anything had been learnt
     SCALARS,
-) = range(13)
+) = range(14)
 
 
 @register_jitable
@@ -34,7 +35,7 @@ def noise_offsets(n: int, m: int) -> tuple[int, ...]:
 
     - theta (n + m): natural logarithms of the diagonals of Q and R; their anchor; their standard deviations;
     - motion (n): mean square of what the model moves each state in a step; the largest yet;
-    - last_y (2, m); curvature (m): sum of squares of second differences; counts (m);
+    - last_y (2, m); curvature (m): sum of squares of second differences; counts (m); variances of P0 (n), at [20];
     - d and P saved where the next pass starts; d and P saved where the tested part begins;
     - gradient and information of the part that leaves the window, and of the part in front of the tested one;
     - memory: what left the window, as a linear term and information;
@@ -50,7 +51,8 @@ def noise_offsets(n: int, m: int) -> tuple[int, ...]:
     last_y = largest + n
     curvature = last_y + 2 * m
     counts = curvature + m
-    saved = counts + m
+    first = counts + m
+    saved = first + n
     marked = saved + n + n * n
     leaving = marked + n + n * n
     untested = leaving + lanes + lanes * lanes
@@ -64,14 +66,14 @@ def noise_offsets(n: int, m: int) -> tuple[int, ...]:
     ring = seen + m
     return (
         theta, anchor, std, motion, largest, last_y, curvature, counts, saved, marked, leaving, untested, memory, d, p,
-        gradient, information, totals, seen, ring,
+        gradient, information, totals, seen, ring, first,
     )  # fmt: skip
 
 
 @register_jitable
 def noise_size(n: int, m: int, ring: int) -> int:
     """Words of the own part."""
-    return noise_offsets(n, m)[-1] + ring * entry_size(n, m)
+    return noise_offsets(n, m)[19] + ring * entry_size(n, m)
 
 
 @register_jitable

@@ -7,7 +7,7 @@ test of the window's last quarter notices when the noise has changed: then every
 grows again from there.
 """
 
-from math import exp, isnan
+from math import exp, isnan, sqrt
 from typing import Final
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from servohil.estimators.noise.noise_layout import (
     CHANGES,
     END,
+    GROWN,
     HELD,
     MARK_AT,
     MARKED,
@@ -192,3 +193,22 @@ def restart(own: Vector, n: int, m: int, factor: Matrix) -> None:
     own[OLDEST] = own[WRITTEN]
     own[SAVED] = own[WRITTEN]
     begin(own, n, m, 1, 1)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def grow(own: Vector, n: int, m: int, factor: Matrix) -> None:
+    """Q and R were far too small from the start, so P is, by the same ratio: no variance grows beyond that of P0.
+
+    The window starts anew: what it says was seen through a filter that was sure of all noise.
+    """
+    first = noise_offsets(n, m)[20]
+    for i in range(n):
+        variance = 0.0
+        for k in range(n):
+            variance += factor[k, i] * factor[k, i]
+        ratio = min(exp(own[GROWN]), own[first + i] / variance)
+        if ratio > 1.0:
+            for k in range(n):
+                factor[k, i] *= sqrt(ratio)
+    own[GROWN] = 0.0
+    restart(own, n, m, factor)

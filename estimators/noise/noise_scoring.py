@@ -1,13 +1,13 @@
 """Fisher scoring of the logarithms of diag Q and diag R, and the test that notices when the noise has changed."""
 
-from math import exp, log, sqrt
+from math import exp, inf, log, sqrt
 from typing import Final
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from servohil.estimators.noise.noise_layout import noise_offsets
+from servohil.estimators.noise.noise_layout import GROWN, noise_offsets
 from servohil.estimators.noise.noise_window import lane_count
 
 Vector = NDArray[np.float64]
@@ -131,6 +131,8 @@ def score(own: Vector, n: int, m: int, room: Vector) -> bool:
     if ratio > FAR_TOO_SMALL:  # far too small together: only their common scale is worth anything yet
         rescaling = min(log(ratio), LARGEST_RESCALING)
         forget(own, n, m)
+        if own[std] == inf:
+            own[GROWN] = rescaling
         for i in range(count):
             if own[theta + i] >= LOWEST - 1.0:
                 own[theta + i] = min(own[theta + i] + rescaling, HIGHEST)

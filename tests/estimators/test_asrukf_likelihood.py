@@ -41,6 +41,24 @@ def test_close_to_the_filter_that_knows_from_a_cold_start(motion, adaptive, star
     assert (wrong / least > 3.0).all()
 
 
+def test_a_start_far_too_small_makes_the_filter_unsure_again_as_its_noise_grows(motion):
+    """P as found with Q and R of 1e-20 is as much too small as they are; it grows with them, at most to P0."""
+    inputs, samples, states = motion
+    found = ASRUKF(MODEL, X0, P0, 1e-20 * np.eye(4), 1e-20 * np.eye(3))
+    grown = 0
+    for k in range(400):
+        q, p = np.diag(found.Q).copy(), np.diag(found.P).copy()
+        found.step(inputs[k], samples[k])
+        growth = np.diag(found.Q) / q
+        if growth.min() > 100.0:
+            grown += 1
+            expected = np.minimum(growth, np.diag(P0) / p)
+            np.testing.assert_allclose(np.diag(found.P) / p, expected, rtol=0.6)  # the step itself changes P a little
+        assert (np.diag(found.P) <= np.diag(P0) * 1.01).all()
+    assert grown >= 2
+    assert (np.abs(found.x - states[399]) < 4.0 * np.sqrt(np.diag(found.P))).all()
+
+
 def test_noise_is_right_within_its_own_deviation_and_follows_a_change_within_two_windows(motion, adaptive):
     inputs, samples, _ = motion
     adaptive.reset()
