@@ -15,6 +15,7 @@ from servohil.sim_bench.experiments.reproduce import reproduce
 PAPERS: Final = {
     "p1": "P1: adaptive square-root UKF, arm and servo-hydraulic cylinder",
     "p2": "P2: second-order filters, electro-hydrostatic actuator",
+    "p3": "P3: INTSMC and AFINTSC, arm and servo-hydraulic cylinder",
     "p4": "P4: sensitivity-based adaptive SR-UKF, one-link arm and pendubot",
 }
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,7 +116,8 @@ class Experiment:
         states: names of the columns.
         data: from a generator, one run.
         filters: by name as on the page; built for each run, compiled once. KNOWS gets the true Q and R of every step.
-        printed: the paper's figures by filter, None where it has "NaN".
+            Where controllers compete: these, as `track` takes them.
+        printed: the paper's figures by filter, None where it has "NaN"; fewer than states where the last are ours.
         claims: of the paper, and ours that say so.
         notes: what the paper leaves out, and what was chosen.
         metric: of a run.
@@ -132,13 +133,13 @@ class Experiment:
     source: str
     states: tuple[str, ...]
     data: Callable[[np.random.Generator], Data]
-    filters: Mapping[str, Callable[[], Filter]]
+    filters: Mapping[str, Callable[[], Any]]
     printed: Mapping[str, tuple[float | None, ...]]
     claims: tuple[PaperClaim, ...]
     notes: tuple[str, ...]
     metric: Metric = NMSE
     start: int = 3000
-    track: Callable[[Filter, Data], Matrix] = estimated_states
+    track: Callable[[Any, Data], Matrix] = estimated_states
     dt_s: float = 1e-3
     figures: Mapping[str, Figure] = field(default_factory=dict)
     data_digest: str = ""

@@ -30,7 +30,6 @@ Matrix = NDArray[np.float64]
 INTSMC, NTSMC, INTEGRAL_TERMINAL, FINTSC, AFINTSC = range(5)
 NO_LIMIT: Final = 1e6  # Nm: the papers' motors have none
 VALVE_V: Final = 10.0
-SUBSTEPS: Final = 4  # of the cylinder in a sample: chambers near tank or supply pressure are stiff
 # Columns of what `run_arm` and `run_cylinder` fill.
 ANGLES, TORQUES, SURFACES, ARM_COLUMNS = slice(0, 2), slice(2, 4), slice(4, 6), 6
 POSITION, VELOCITY, ACCELERATION, VALVE, SURFACE, PRESSURE_A, PRESSURE_B, CYLINDER_COLUMNS = range(8)
@@ -183,5 +182,4 @@ def run_cylinder(
         out[k, POSITION], out[k, VELOCITY], out[k, ACCELERATION] = x[0], x[1], true_acceleration
         out[k, VALVE], out[k, SURFACE] = u[0], state[SIGMA]
         out[k, PRESSURE_A], out[k, PRESSURE_B] = x[2], x[3]
-        for _ in range(SUBSTEPS):
-            cylinder_step(x, u, p, dt / SUBSTEPS, work)
+        cylinder_step(x, u, p, dt, work)

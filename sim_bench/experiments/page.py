@@ -31,7 +31,7 @@ def section(experiment: Experiment, results: Results, figures: Mapping[str, str]
         for name, result in results.items():
             printed = experiment.printed.get(name)
             cells = [
-                f"{value(printed[i]) if printed else '-'} / {spread(result.whole[:, i])}"
+                f"{value(printed[i]) if printed and i < len(printed) else '-'} / {spread(result.whole[:, i])}"
                 for i in range(len(experiment.states))
             ]
             lines.append(f"| {name} | {' | '.join(cells)} |")
