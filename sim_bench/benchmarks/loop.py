@@ -1,4 +1,5 @@
-"""`hil benchmark loop`: what one cycle costs, stage by stage, and what the bus costs beside a named peer.
+"""`hil benchmark loop`: what one cycle costs, stage by stage, what the bus costs beside a named
+peer, and what the control laws cost.
 
 Two ways to look at each stage: back to back, when caches are warm, and after sleeping through the rest of a period,
 as in the real loop. Medians; tails belong to the machine, not to the program.
@@ -21,6 +22,7 @@ from servohil.hil.cycle import Cycle
 from servohil.hil.dry_run import PlausibleSensors, dry_run
 from servohil.hil.inputs import InputsBuffer
 from servohil.hil.ring import Kind, RingReader, RingWriter
+from servohil.sim_bench.benchmarks.laws import law_claims
 
 NS_PER_US: Final = 1e3
 REST_OF_PERIOD_S: Final = 0.8e-3
@@ -125,4 +127,4 @@ def loop_claims(rig: Rig, quick: bool, tick: Tick) -> list[Claim]:
     if ours is not None and peer is not None:
         ratio = peer / ours
         claims.append(Claim.judge("loop.bus.udp_multicast_to_servohil", ratio, "1", "> 1", "the two above"))
-    return claims
+    return [*claims, *law_claims(quick)]
