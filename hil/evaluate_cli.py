@@ -16,7 +16,7 @@ def evaluate() -> None:
 @evaluate.command("control")
 @click.option("--page", type=click.Path(path_type=Path), help="Put the table into this page, between its markers.")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write provenance and claims here.")
-@click.option("--quick", is_flag=True, help="One seed of two scenarios.")
+@click.option("--quick", is_flag=True, help="One seed of one scenario.")
 def evaluate_control(quick: bool, json_path: Path | None, page: Path | None) -> None:
     """Every control law in the same closed loop: accuracy, settling, chatter, effort, robustness."""
     with one_clear_line():
