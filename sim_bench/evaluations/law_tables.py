@@ -1,9 +1,10 @@
 """A [control] table for every law, with one bandwidth: four poles, or what comes nearest, at 80 rad/s on the bench.
 
 The sliding laws have one switching gain, 800 m/s3: more than what a valve gain that is wrong by 20 % asks for. Their
-boundary layers put the pole inside the layer at the same 80 rad/s. mu and the layer of the synergetic laws were chosen
-by trial, as their poles move with S. PID knows no model and cannot have this bandwidth, as the load swings on its oil at
-75 rad/s: twice its proportional gain makes it oscillate. Its gains were chosen by trial for the smallest error.
+boundary layers put the pole inside the layer at the same 80 rad/s. mu and the layer of the synergetic laws were
+chosen by trial, as their poles move with S. PID knows no model and cannot have this bandwidth, as the load swings on
+its oil at 75 rad/s: twice its proportional gain makes it oscillate. Its gains were chosen by trial for the smallest
+error.
 """
 
 from typing import Any, Final
