@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servohil.control.laws import law
-from servohil.control.laws.catalogue import LAWS
 from servohil.drivers.codec import Kind
 from servohil.estimators.health import DIVERGED, GATED, NOT_FINITE_INPUT, REPAIRED
 from servohil.estimators.leakage import residual_monitor
@@ -90,8 +89,6 @@ class Cycle:
         self._sensing = Sensing(rig, self.codec)
         self._estimate_view = self._estimation.view
         self._tracking = Tracking(rig, self.arena.f8["law"], self.arena.f8["motion"])
-        tunable = getattr(rig.control, "switching_gain", 0.0) > 0.0
-        self._switching = LAWS[rig.control.law].switching if tunable else None
         self.parameters = parameters.parameter_table(rig)
         self._tunables = self.arena.f8["parameters"]
         self._tunables[: len(self.parameters)] = [entry.value for entry in self.parameters]
@@ -214,8 +211,7 @@ class Cycle:
         limits = self.rig.limits
         self.monitor.arena[residual_monitor.THRESHOLD_SIGMA] = values[parameters.THRESHOLD_SIGMA]
         self.monitor.arena[residual_monitor.CUSUM_THRESHOLD] = values[parameters.CUSUM_THRESHOLD]
-        if self._switching is not None:
-            self._tracking.gains[self._switching] = values[len(self.parameters) + parameters.SWITCHING_GAIN]
+        parameters.put_into_gains(values, self.parameters, self._tracking.gains, self.rig.control.law)
         self._limits = gate_limits(
             float(values[parameters.COMMAND_MAX]), limits.command_slew_v_per_s, limits.ramp_down_s, self.dt
         )

@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from servohil.control.laws.catalogue import LAWS
 from servohil.control.references import sine
 from servohil.hil.commands import Result
 from servohil.hil.config import Rig
@@ -31,7 +32,7 @@ class Parameter(NamedTuple):
 # Positions in the parameter vector of the cycle state.
 THRESHOLD_SIGMA, CUSUM_THRESHOLD, COMMAND_MAX = range(3)
 OFFSET, AMPLITUDE, OMEGA = 3, 4, 5  # only with a sine reference
-SWITCHING_GAIN: Final = -1  # the last of the table, where the law has one
+SWITCHING_GAIN: Final = "control.switching_gain"  # the last of the table, where the law has one
 
 N_PARAMETERS: Final = 7
 
@@ -42,7 +43,8 @@ def parameter_table(rig: Rig) -> list[Parameter]:
     table = [
         Parameter("leakage.threshold_sigma", "1", 3.0, 50.0, leakage.threshold_sigma),
         Parameter("leakage.cusum_threshold", "1", 5.0, 1e4, leakage.cusum_threshold),
-        Parameter("limits.command_max_v", "V", 0.1, limits.command_max_v, limits.command_max_v),
+        # Below its dead band the spool lets nothing through.
+        Parameter("limits.command_max_v", "V", 0.1 + control.dead_band_v, limits.command_max_v, limits.command_max_v),
     ]
     if profile.kind == "sine":
         low, high = limits.position_min_m, limits.position_max_m
@@ -54,7 +56,7 @@ def parameter_table(rig: Rig) -> list[Parameter]:
         ]
     switching = getattr(control, "switching_gain", 0.0)
     if switching > 0.0:
-        table.append(Parameter("control.switching_gain", "m/s3", 0.01, 20.0 * switching, switching))
+        table.append(Parameter(SWITCHING_GAIN, "m/s3", 0.01, 20.0 * switching, switching))
     return table
 
 
@@ -90,6 +92,13 @@ def put_into_profile(values: Vector, table: Sequence[Parameter], profile: Vector
         profile[sine.OFFSET] = values[OFFSET]
         profile[sine.AMPLITUDE] = values[AMPLITUDE]
         profile[sine.OMEGA] = values[OMEGA]
+
+
+def put_into_gains(values: Vector, table: Sequence[Parameter], gains: Vector, law: str) -> None:
+    """Write the switching gain, where the law has one, into its gain vector."""
+    place = LAWS[law].switching
+    if place is not None and table[-1].name == SWITCHING_GAIN:
+        gains[place] = values[len(table) - 1]
 
 
 def _has_sine(table: Sequence[Parameter]) -> bool:

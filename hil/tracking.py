@@ -104,8 +104,10 @@ class Tracking:
         error = self._error
         error[:2] = x[:2] - reference[:2]
         error[2] = cylinder.acceleration(x, self._plant) - reference[2]
-        limit, band = limits.command_max_v - self._dead_band_v, self._dead_band_v
+        band = self._dead_band_v
+        limit = max(0.0, limits.command_max_v - band)
         before, slew = opening(last_v, band), limits.slew_step_v * periods
-        low, high = max(-limit, before - slew), min(limit, before + slew)
+        # Both ends within the limit: one that was lowered under way must not leave a window that asks for motion.
+        low, high = max(-limit, min(limit, before - slew)), max(-limit, min(limit, before + slew))
         asked = self._step(self._law, self.gains, error, reference, *self._jerk.tolist(), low, high, self.dt)
         return float(spool_for(asked, band))

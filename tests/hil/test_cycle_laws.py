@@ -7,11 +7,12 @@ import pytest
 from bench_rig import ROOT, write_rig
 from cycle_bench import Bench
 
+from servohil.control.laws.catalogue import LAWS
 from servohil.control.laws.law import SATURATED
-from servohil.hil.commands import Command
+from servohil.hil.commands import Command, Result
 from servohil.hil.config import ConfigError, Rig, load_rig
 from servohil.hil.cycle import Cycle
-from servohil.hil.gate import DeviceState
+from servohil.hil.gate import DeviceState, GateLimits
 from servohil.sim_bench.evaluations.closed_loop import Case, rig_of
 from servohil.sim_bench.evaluations.law_tables import LAW_TABLES
 
@@ -54,6 +55,35 @@ def test_an_integral_waits_while_the_gate_limits_the_slope() -> None:
         flagged += row["law_flags"] == SATURATED
         before = float(row["command_v"])
     assert flagged > 10
+
+
+@pytest.mark.parametrize("last_v", [-9.0, -0.1, 0.0, 0.1, 9.0])
+@pytest.mark.parametrize("limit_v", [0.2, 0.35, 1.0])
+def test_a_limit_that_was_lowered_under_way_never_asks_for_more_or_the_other_way(last_v: float, limit_v: float) -> None:
+    """With a dead band of 0.3 V a limit of 0.2 V leaves nothing: 0, not the window turned round."""
+    tracking = Bench(rig_with("intsmc", control={"dead_band_v": 0.3})).active().cycle._tracking
+    x, u = np.array([0.3, 0.2, 2.7, 5.1]), np.array([0.0, 14e6, 0.9e6])
+    limits = GateLimits(limit_v, 2.0, 100)
+    asked = tracking.command(DeviceState.ACTIVE, 1000, x, u, last_v, limits, 1)
+    assert abs(asked) <= limit_v + 1e-12
+    if limit_v <= 0.3:
+        assert asked == 0.0
+
+
+@pytest.mark.parametrize(("law", "has"), [("fintsc", True), ("smc", True), ("pid", False), ("pole_placement", False)])
+def test_the_switching_gain_is_tunable_where_the_law_has_one(law: str, has: bool) -> None:
+    bench = Bench(rig_with(law, control={"dead_band_v": 0.3}))
+    table = bench.cycle.parameters
+    names = [entry.name for entry in table]
+    assert ("control.switching_gain" in names) is has
+    assert table[names.index("limits.command_max_v")].minimum == pytest.approx(0.4)
+    gains = bench.cycle._tracking.gains.copy()
+    if has:
+        index = names.index("control.switching_gain")
+        row = bench.step(Command.SET_PARAM, command_seq=1, command_index=index, command_value=123.0)
+        assert row["command_result"] == Result.ACCEPTED
+        changed = np.flatnonzero(bench.cycle._tracking.gains != gains)
+        assert changed.tolist() == [LAWS[law].switching] and bench.cycle._tracking.gains[changed[0]] == 123.0
 
 
 def test_a_dead_band_that_is_known_costs_next_to_nothing() -> None:
