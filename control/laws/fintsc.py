@@ -32,6 +32,7 @@ from servohil.control.laws.law import (
     check_hurwitz,
     sig,
 )
+from servohil.control.laws.terminal import terminal_surface
 
 Vector = NDArray[np.float64]
 
@@ -89,24 +90,13 @@ def synergetic_step(
     dt: float,
 ) -> float:
     """`fintsc_step` with mu from elsewhere than the gains."""
-    n = e.size
-    a = gains[ALPHA1]
-    factor = np.abs(e[n - 1]) ** (a - 1.0)
-    first = a * gains[C1]
-    rate = gains[C1] * factor * e[n - 1]
-    drift = e[2] if n > 2 else 0.0
-    for i in range(1, n):
-        a = a / (2.0 - a)
-        slope = gains[C1 + i] * np.abs(e[n - 1 - i]) ** (a - 1.0)
-        rate += slope * e[n - 1 - i]
-        drift += a * slope * e[n - i]
+    rate, drift, divisor = terminal_surface(e, gains, C1, gains[ALPHA1], gains[BOUND])
     integral = state[INTEGRAL] if state[RUNNING] != 0.0 else 0.0
     s = e[0] + integral
     s_dot = e[1] + rate
     inverse = s / (s * s + gains[EPSILON] * gains[EPSILON])
     drift += inverse * (s_dot * s_dot + sig(s * s_dot / mu, 1.0 / gains[POWER]))
-    divisor = first * max(factor, gains[BOUND]) if n > 2 else 1.0 + first * factor
-    wanted = reference[n] - drift / divisor - gains[SWITCHING] * np.tanh(s / gains[LAYER])
+    wanted = reference[e.size] - drift / divisor - gains[SWITCHING] * np.tanh(s / gains[LAYER])
     return float(actuate(state, gains, wanted, s, integral, rate, f, b_extend, b_retract, low, high, dt))
 
 

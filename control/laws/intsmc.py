@@ -32,6 +32,7 @@ from servohil.control.laws.law import (
     check_gains,
     check_hurwitz,
 )
+from servohil.control.laws.terminal import terminal_surface
 
 Vector = NDArray[np.float64]
 
@@ -81,21 +82,10 @@ def intsmc_step(
     dt: float,
 ) -> float:
     """One step of the law, see `law`; the first starts on the surface, sigma = 0, whatever the error is then."""
-    n = e.size
-    a = gains[ALPHA1]
-    factor = np.abs(e[n - 1]) ** (a - 1.0)
-    first = a * gains[C1]
-    rate = gains[C1] * factor * e[n - 1]
-    drift = e[2] if n > 2 else 0.0
-    for i in range(1, n):
-        a = a / (2.0 - a)
-        slope = gains[C1 + i] * np.abs(e[n - 1 - i]) ** (a - 1.0)
-        rate += slope * e[n - 1 - i]
-        drift += a * slope * e[n - i]
+    rate, drift, divisor = terminal_surface(e, gains, C1, gains[ALPHA1], gains[BOUND])
     s_dot = e[1] + rate
     integral = state[INTEGRAL] if state[RUNNING] != 0.0 else -s_dot / gains[DECAY] - e[0]
     sigma = s_dot + gains[DECAY] * (e[0] + integral)
-    divisor = first * max(factor, gains[BOUND]) if n > 2 else 1.0 + first * factor
     reach = gains[SWITCHING] * np.tanh(sigma / gains[LAYER])
-    wanted = reference[n] - (drift + gains[DECAY] * s_dot) / divisor - reach
+    wanted = reference[e.size] - (drift + gains[DECAY] * s_dot) / divisor - reach
     return float(actuate(state, gains, wanted, sigma, integral, rate, f, b_extend, b_retract, low, high, dt))
