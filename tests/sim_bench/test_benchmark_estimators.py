@@ -42,9 +42,12 @@ def test_all_implementations_agree(results):
 
 def test_the_limits_of_the_claims(results):
     limits = {name.removeprefix("estimators."): claim.limit for name, claim in results.items()}
-    assert limits["n4.compiled"] == "<= 3" and limits["n4.python"] == "<= 5" and limits["n11.compiled"] == "<= 10"
-    assert limits["n4.compiled-to-c"] == "<= 2" and limits["n4.filterpy-to-python"] == ">= 130"
-    assert limits["start.second"] == "<= 1.5" and limits["allocations"] == "== 0"
+    assert limits["n4.compiled-to-c"] == "<= 2" and limits["allocations"] == "== 0"
+    # a quick run holds on a machine that is none of the page's
+    assert limits["n4.compiled"] is None and limits["n4.filterpy-to-python"] is None and limits["start.second"] is None
+    whole = estimators.SPEED_LIMITS
+    assert whole["estimators.n4.compiled"] == "<= 3" and whole["estimators.n4.python"] == "<= 5"
+    assert whole["estimators.n4.filterpy-to-python"] == ">= 130" and whole["estimators.n11.compiled"] == "<= 10"
 
 
 def test_figures_are_of_the_right_order(results):
