@@ -5,8 +5,8 @@ the time before; delta is the change. Without theta, which is integrated out,
 
     W = (J^-1 + P)^-1,  w = W J^-1 b:  delta_j = w_j / W_jj +- 1 / sqrt(W_jj),  2 ln Lambda_j = w_j^2 / W_jj
 
-for each j alone (a GLR test with Gaussian nuisance). What a slow drift may have done, P says; a change is only what goes
-beyond. With a prior delta_j ~ N(0, s_j^2) the same numbers give the evidence of each hypothesis against "nothing".
+for each j alone (a GLR test with Gaussian nuisance). What a slow drift may have done, P says; a change is only what
+goes beyond. With a prior delta_j ~ N(0, s_j^2) the same numbers give the evidence of each hypothesis against "nothing".
 """
 
 from typing import Final
@@ -110,7 +110,7 @@ def marginal(record: Vector, prior_factor: Matrix, work: Vector, w_diagonal: Vec
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def likelihood_ratio(j: int, w_diagonal: Vector, w_right: Vector) -> float:
-    """2 ln Lambda of change j; a leak does not become less than it was in the beginning, but it may become less."""
+    """2 ln Lambda of change j of any size, either way; 0 where nothing can be seen of it."""
     if w_diagonal[j] <= 0.0:
         return 0.0
     return float(w_right[j] * w_right[j] / w_diagonal[j])

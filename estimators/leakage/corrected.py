@@ -27,9 +27,7 @@ CENTRE_V: Final = 0.02
 
 def change_table(p: Vector) -> Matrix:
     """(N_CHANGES, TABLE_COLUMNS) of what moves what, for the configured parameters p of the cylinder."""
-    rows = [
-        (c.moves, c.place, c.unit * (p[c.place] if c.relative else 1.0), c.when) for c in CHANGES
-    ]
+    rows = [(c.moves, c.place, c.unit * (p[c.place] if c.relative else 1.0), c.when) for c in CHANGES]
     return np.array(rows, dtype=np.float64)
 
 

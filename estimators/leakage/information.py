@@ -27,8 +27,8 @@ M: Final = 3
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def observe(record: Vector, whitened: Vector, channels: int) -> None:
-    """Add one cycle: `whitened` (M + M * N_CHANGES,) as `signature.advance_signatures` fills it. Only the upper triangle
-    of J is kept up to date, see `complete`."""
+    """Add one cycle: `whitened` (M + M * N_CHANGES,) as `signature.advance_signatures` fills it. Only the upper
+    triangle of J is kept up to date, see `complete`."""
     for c in range(M):
         z = whitened[c]
         row = M + c * C

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servohil.estimators.arena import arena_offsets
+from servohil.estimators.integrate import STAGES
 from servohil.estimators.leakage.changes import INPUT, N_CHANGES, PARAMETER
 from servohil.estimators.leakage.corrected import MOVES, PLACE, UNIT, WHEN, sharing
 from servohil.estimators.linear_algebra.views import matrix_at, vector_at
@@ -24,7 +25,6 @@ Matrix = NDArray[np.float64]
 
 N: Final = 4
 M: Final = 3
-STATE_OF: Final = (0, 2, 3)  # the outputs are these states
 
 # `Model.specialise` compiles `advance_signatures` with the model's in place of these.
 f: Any = None
@@ -34,8 +34,10 @@ SUBSTEPS: int = 0
 
 # Scratch: moved states, integrator stages, one p and one u.
 POINTS: Final = N_CHANGES + 1
-SCRATCH_SIZE: Final = POINTS * N + 5 * N + 14 + 3
-SIGNATURE_TYPE_TEXT: Final = "i8(" + ", ".join(["f8[::1]"] * 6) + ", f8[:, ::1])"
+N_PARAMETERS: Final = 14
+N_U: Final = 3
+SCRATCH_SIZE: Final = POINTS * N + STAGES * N + N_PARAMETERS + N_U
+SIGNATURE: Final = "i8(" + ", ".join(["f8[::1]"] * 6) + ", f8[:, ::1])"  # of the compiled function
 
 
 def advance_signatures(
@@ -52,15 +54,15 @@ def advance_signatures(
         pu: (14 + 3,) parameters, then input, that the step was made with.
         table: (N_CHANGES, 4) see `corrected.change_table`.
     """
-    a_x, a_factor, _, a_r, a_innovation, a_s, _, _, _, _ = arena_offsets(N, M)
+    _, a_factor, _, a_r, a_innovation, a_s, _, _, _, _ = arena_offsets(N, M)
     points = matrix_at(scratch, 0, POINTS, N)
-    stages = matrix_at(scratch, POINTS * N, 5, N)
-    p = vector_at(scratch, POINTS * N + 5 * N, 14)
-    u = vector_at(scratch, POINTS * N + 5 * N + 14, 3)
-    for i in range(14):
+    stages = matrix_at(scratch, POINTS * N, STAGES, N)
+    p = vector_at(scratch, POINTS * N + STAGES * N, N_PARAMETERS)
+    u = vector_at(scratch, POINTS * N + STAGES * N + N_PARAMETERS, N_U)
+    for i in range(N_PARAMETERS):
         p[i] = pu[i]
-    for i in range(3):
-        u[i] = pu[14 + i]
+    for i in range(N_U):
+        u[i] = pu[N_PARAMETERS + i]
     base = vector_at(points, N_CHANGES * N, N)
     for i in range(N):
         base[i] = last_x[i]
@@ -70,7 +72,7 @@ def advance_signatures(
         for i in range(N):
             moved[i] = last_x[i] + signatures[j * N + i]
         place = int(table[j, PLACE])
-        amount = table[j, UNIT] * sharing(table[j, WHEN], last_x[1], pu[14])
+        amount = table[j, UNIT] * sharing(table[j, WHEN], last_x[1], pu[N_PARAMETERS])
         if table[j, MOVES] == PARAMETER:
             p[place] += amount
             integrate(f, N, DT, SUBSTEPS, moved, u, p, stages)
@@ -78,7 +80,7 @@ def advance_signatures(
         elif table[j, MOVES] == INPUT:
             u[place] += amount
             integrate(f, N, DT, SUBSTEPS, moved, u, p, stages)
-            u[place] = pu[14 + place]
+            u[place] = pu[N_PARAMETERS + place]
         else:
             integrate(f, N, DT, SUBSTEPS, moved, u, p, stages)
         for i in range(N):

@@ -1,21 +1,20 @@
 """A cylinder under control, leaking and drifting, with the diagnosis beside it: one compiled loop, hours in minutes.
 
-The same pieces as the bench: the plant's equations, its noise, sensors quantised as the DBC says, the control law on the
-estimate of a filter that knows the configuration, and the diagnosis. Only frames, gate and operator are left out.
+The same pieces as the bench: the plant's equations, its noise, sensors quantised as the DBC says, the control law on
+the estimate of a filter that knows the configuration, and the diagnosis. Only frames, gate and operator are left out.
 """
 
 from typing import Any, Final
 
 import numpy as np
-from numba import njit, types
+from numba import njit
 from numpy.typing import NDArray
 
-from servohil.control.laws import law
 from servohil.control.laws.intsmc import intsmc_step
-from servohil.estimators.leakage import diagnosis_layout as at
-from servohil.estimators.leakage.diagnosis_step import SIGNATURE_TYPE, TWIN_TYPE, step
+from servohil.estimators.leakage import layout as at
+from servohil.estimators.leakage.diagnosis_step import step
 from servohil.estimators.models import cylinder
-from servohil.estimators.models.cylinder import BULK, CS, FRICTION, LOAD
+from servohil.estimators.models.cylinder import BULK, CS, FRICTION
 from servohil.sim_bench.plants import cylinder as truth
 
 Vector = NDArray[np.float64]
@@ -63,8 +62,8 @@ def run(
         configured: (14,) what controller and diagnosis believe.
         plant: (25,) truth before drift and fault; `noise[9]` is its null, V.
         drifts: (N_DRIFTS, 3) amplitude (share, or Pa, V), rate rad/s, phase.
-        fault: what it moves, by how much, from which cycle on, over how many cycles it grows, period of going and coming
-            in cycles (0: it stays).
+        fault: what it moves, by how much, from which cycle on, over how many cycles it grows, period of going and
+            coming in cycles (0: it stays).
         motion: centre m, amplitude m, rad/s.
         noise: std of velocity m/s, pressure Pa per step; of the sensors: position, A, B, supply, tank, spool; supply Pa
             at [8], null V at [9], tank Pa at [10].
@@ -88,7 +87,6 @@ def run(
         clock[0] += 1.0
         for i in range(N_TRUTH):
             p[i] = plant[i]
-        shares = stages[0]
         supply = noise[8]
         null = noise[9]
         bias_a = bias_b = 0.0

@@ -1,0 +1,114 @@
+"""Something has changed: what? Judged again after every block, until one hypothesis explains it and is sure."""
+
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from servohil.estimators.leakage import layout as at
+from servohil.estimators.leakage.baseline import absorb, drift
+from servohil.estimators.leakage.changes import N_LEAKS
+from servohil.estimators.leakage.competition import (
+    WORK_SIZE,
+    all_together,
+    likelihood_ratio,
+    lower_cholesky,
+    marginal,
+    winner,
+)
+from servohil.estimators.leakage.information import INFORMATION_SIZE, shift
+from servohil.estimators.leakage.model_update import fold
+from servohil.estimators.leakage.onsets import ONSETS_SIZE, clear
+from servohil.estimators.linear_algebra.views import matrix_at, vector_at
+
+Vector = NDArray[np.float64]
+C = at.C
+
+# What all changes together explain beyond the best single one: chance, and a share that a model of straight lines
+# leaves of a large change.
+CHANCE: Final = 60.0
+SHARE: Final = 0.05
+NOT_EXCLUDED: Final = 0.01  # a hypothesis with more than this probability is still in the running
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def judge(arena: Vector, work: Vector, settings: Vector, twin: Vector) -> None:
+    """Take the block in, weigh the hypotheses, and conclude where that can be done."""
+    arena[at.LAG_S] += arena[at.BLOCK_CYCLES] * settings[at.DT_S]
+    elapsed = arena[at.CYCLES] - arena[at.DETECTED]
+    if elapsed <= settings[at.GUARD_STEPS]:
+        return
+    for i in range(INFORMATION_SIZE):
+        arena[at.EPISODE + i] += arena[at.BLOCK + i]
+    best = _weigh(arena, work, settings)
+    if best < 0 or elapsed < settings[at.JUDGE_STEPS]:
+        return
+    sure = arena[at.CONFIDENCE + best] >= settings[at.CONFIDENT]
+    if sure and arena[at.REST] < CHANCE + SHARE * arena[at.RATIO]:
+        _conclude(arena, work, settings, twin, best)
+    elif elapsed >= settings[at.GIVE_UP_STEPS]:
+        _conclude(arena, work, settings, twin, -1)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _weigh(arena: Vector, work: Vector, settings: Vector) -> int:
+    """Fill CONFIDENCE, SIZE, RATIO and REST; returns the most probable change, C for none, -1 if that fails."""
+    record = vector_at(work, at.W_RECORD, INFORMATION_SIZE)
+    covariance, factor = matrix_at(work, at.W_MATRIX, C, C), matrix_at(work, at.W_FACTOR, C, C)
+    diagonal, right = vector_at(work, at.W_DIAGONAL, C), vector_at(work, at.W_RIGHT, C)
+    solve = vector_at(work, at.W_SOLVE, WORK_SIZE)
+    step_std = vector_at(settings, at.STEP, C)
+    for i in range(INFORMATION_SIZE):
+        record[i] = arena[at.EPISODE + i]
+    for i in range(C * C):
+        work[at.W_MATRIX + i] = arena[at.COVARIANCE + i]
+    shift(record, vector_at(arena, at.THETA, C))
+    drift(covariance, vector_at(settings, at.DRIFT, C), arena[at.LAG_S])
+    if not lower_cholesky(covariance, factor) or not marginal(record, factor, solve, diagonal, right):
+        return -1
+    best = winner(diagonal, right, step_std, vector_at(arena, at.CONFIDENCE, C + 1))
+    unclear = 0
+    for j in range(C):
+        informed = diagonal[j] + 1.0 / step_std[j] ** 2
+        arena[at.SIZE + j] = right[j] / informed
+        arena[at.SIZE_STD + j] = 1.0 / np.sqrt(informed)
+        if arena[at.CONFIDENCE + j] > NOT_EXCLUDED:
+            unclear |= 1 << j
+    arena[at.UNCLEAR] = unclear
+    arena[at.RATIO] = likelihood_ratio(best, diagonal, right) if best < C else 0.0
+    arena[at.RATIO_CHANGE] = best
+    arena[at.REST] = all_together(record, solve, right, step_std, covariance, factor) - arena[at.RATIO]
+    return best
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _conclude(arena: Vector, work: Vector, settings: Vector, twin: Vector, verdict: int) -> None:
+    """The episode is over, what it says becomes part of the baseline. Verdict C: nothing; -1: no single change explains
+    it, so all may have changed."""
+    covariance = matrix_at(arena, at.COVARIANCE, C, C)
+    drift(covariance, vector_at(settings, at.DRIFT, C), arena[at.LAG_S])
+    for j in range(C):
+        if verdict == j or verdict < 0:
+            covariance[j, j] += settings[at.STEP + j] ** 2
+    absorb(
+        vector_at(arena, at.EPISODE, INFORMATION_SIZE), vector_at(arena, at.THETA, C), covariance,
+        vector_at(work, at.W_SOLVE, WORK_SIZE),
+    )  # fmt: skip
+    fold(arena, twin)
+    clear(vector_at(arena, at.ONSETS, ONSETS_SIZE))
+    if verdict != C:
+        arena[at.VERDICT] = verdict if verdict >= 0 else C
+        arena[at.VERDICT_ONSET] = arena[at.ONSET]
+        arena[at.VERDICT_AT] = arena[at.CYCLES]
+        arena[at.VERDICT_SIZE] = arena[at.SIZE + verdict] if verdict >= 0 else 0.0
+        arena[at.VERDICT_STD] = arena[at.SIZE_STD + verdict] if verdict >= 0 else 0.0
+        arena[at.VERDICT_CONFIDENCE] = arena[at.CONFIDENCE + verdict] if verdict >= 0 else 0.0
+        arena[at.VERDICTS] += 1.0
+        if 0 <= verdict < N_LEAKS:
+            arena[at.NAMED + verdict] = 1.0
+    arena[at.UNCLEAR] = 0.0
+    arena[at.LAG_S] = 0.0
+    arena[at.SCAN_AGE] = -1.0
+    arena[at.RATIO] = 0.0
+    arena[at.MODE] = at.WATCHING
