@@ -12,9 +12,11 @@ from servohil.control.references import Profile
 from servohil.drivers.codec import Codec, DbcError, MessageProtection, load_codec
 from servohil.drivers.dbc import load_messages
 from servohil.estimators import ASRUKF, SRUKF, Model
+from servohil.estimators.leakage.diagnosis import Diagnosis, DiagnosisSettings
 from servohil.estimators.leakage.residual_monitor import ResidualMonitor
 from servohil.estimators.models import cylinder
 from servohil.hil.config import Rig
+from servohil.hil.config.controller import MeasurementNoise, ProcessNoise, TwinNoise
 from servohil.hil.events import Bounds
 from servohil.hil.reference_profile import checked_profile
 
@@ -44,9 +46,11 @@ def check(rig: Rig) -> None:
     Raises:
         DbcError: names the DBC, the message or signal, and what is allowed.
         GainError, ProfileError: name the condition that gains or reference break.
+        DiagnosisError: names the setting and what can be attained.
     """
     rig.control.gains()
     build_profile(rig)
+    diagnosis_settings(rig)
     names = [*sensor_messages(rig), command_message(rig)]
     tables = {table.name: table for table in load_messages(rig.dbc_path, _protections(rig), names)}
     for path in rig.signals.model_dump().values():
@@ -74,9 +78,8 @@ def command_message(rig: Rig) -> str:
     return message_of(rig.signals.command)
 
 
-def process_covariance(rig: Rig) -> NDArray[np.float64]:
+def process_covariance(rig: Rig, std: ProcessNoise | TwinNoise) -> NDArray[np.float64]:
     """Q per cycle in the filter's units (m, m/s, MPa, MPa), from standard deviations per millisecond."""
-    std = rig.estimator.process_std
     per_ms = np.array(
         [std.position_m, std.velocity_mps, std.pressure_a_pa / PA_PER_MPA, std.pressure_b_pa / PA_PER_MPA]
     )
@@ -102,12 +105,10 @@ def build_model(rig: Rig) -> Model:
 
 
 def filter_sizes(rig: Rig) -> dict[str, int]:
-    """Float64 words of the arenas of `build_filter` and `build_twin`; the twin's are 0 where there is none."""
+    """Float64 words of the arenas of `build_filter` and `build_diagnosis`."""
     n, m = cylinder.N_STATES, cylinder.N_OUTPUTS
-    plain = SRUKF.arena_size(n, m)
-    if rig.estimator.filter == "srukf":
-        return {"filter": plain, "twin": 0}
-    return {"filter": ASRUKF.arena_size(n, m), "twin": plain}
+    size = SRUKF.arena_size(n, m) if rig.estimator.filter == "srukf" else ASRUKF.arena_size(n, m)
+    return {"filter": size, "diagnosis": Diagnosis.arena_size()}
 
 
 def build_filter(rig: Rig, arena: NDArray[np.float64]) -> SRUKF | ASRUKF:
@@ -117,11 +118,22 @@ def build_filter(rig: Rig, arena: NDArray[np.float64]) -> SRUKF | ASRUKF:
     return ASRUKF(build_model(rig), arena=arena, **_filter_start(rig))
 
 
-def build_twin(rig: Rig, arena: NDArray[np.float64]) -> SRUKF | None:
-    """The filter beside an adaptive one whose Q and R stay as configured: adaptation would take a leak for noise."""
-    if rig.estimator.filter == "srukf":
-        return None
-    return SRUKF(build_model(rig), arena=arena, **_filter_start(rig))
+def diagnosis_settings(rig: Rig) -> DiagnosisSettings:
+    """The diagnosis' own settings. Raises DiagnosisError."""
+    leakage = rig.leakage
+    return DiagnosisSettings(
+        leakage.learn_s, leakage.settle_s, leakage.hours_between_false_suspicions, leakage.judge_s, leakage.give_up_s,
+        leakage.confidence, leakage.warn_m3_per_s, leakage.alarm_m3_per_s,
+    )  # fmt: skip
+
+
+def build_diagnosis(rig: Rig, arena: NDArray[np.float64]) -> Diagnosis:
+    """The leakage diagnosis with a filter of its own, living in `arena`. Raises DiagnosisError."""
+    measured = rig.leakage.measurement_std or rig.estimator.measurement_std
+    return Diagnosis(
+        build_model(rig), process_covariance(rig, rig.leakage.process_std), _measurement_covariance(measured),
+        diagnosis_settings(rig), arena,
+    )  # fmt: skip
 
 
 def _filter_start(rig: Rig) -> dict[str, Any]:
@@ -133,16 +145,19 @@ def _filter_start(rig: Rig) -> dict[str, Any]:
         initial.pressure_a_pa / PA_PER_MPA,
         initial.pressure_b_pa / PA_PER_MPA,
     ]
-    r = [measured.position_m, measured.pressure_a_pa / PA_PER_MPA, measured.pressure_b_pa / PA_PER_MPA]
     return {
         "x0": np.zeros(cylinder.N_STATES),
         "P0": np.diag(np.square(p0)),
-        "Q": process_covariance(rig),
-        "R": np.diag(np.square(r)),
+        "Q": process_covariance(rig, estimator.process_std),
+        "R": _measurement_covariance(measured),
         "alpha": estimator.alpha,
         "beta": estimator.beta,
         "kappa": estimator.kappa,
     }
+
+
+def _measurement_covariance(std: MeasurementNoise) -> NDArray[np.float64]:
+    return np.diag(np.square([std.position_m, std.pressure_a_pa / PA_PER_MPA, std.pressure_b_pa / PA_PER_MPA]))
 
 
 def build_profile(rig: Rig) -> Profile:
@@ -151,7 +166,7 @@ def build_profile(rig: Rig) -> Profile:
 
 
 def build_monitor(rig: Rig, arena: NDArray[np.float64]) -> ResidualMonitor:
-    """The leak monitor behind the filter's residuals, living in `arena`."""
+    """The test of the residuals that P1 has, living in `arena`."""
     leakage = rig.leakage
     return ResidualMonitor(
         rig.loop.period_ns / NS_PER_S,

@@ -34,13 +34,14 @@ HOLD, ACTIVE, INIT = int(DeviceState.HOLD), int(DeviceState.ACTIVE), int(DeviceS
 SENSOR_STALE, SECOND_COMMANDER, LEAK_ALARM = int(Event.SENSOR_STALE), int(Event.SECOND_COMMANDER), int(Event.LEAK_ALARM)
 BUS_OFF_EVENT: Final = int(Event.BUS_OFF)
 OWN_ID: Final = int(Kind.OWN_ID)
+LEAK_ALARM_LEVEL: Final = 2
 FILTER_TROUBLE: Final = GATED | REPAIRED | NOT_FINITE_INPUT | DIVERGED
 
 # int64 words of the cycle's own state.
 (
     DEVICE, GOAL, FAULT, RAMP_LEFT, FIRST_ACTIVE, STARTED, OVERRUNS, OVERRUNS_IN_A_ROW, REJECTED, REPAIRS,
-    COMMAND_SEQ, COMMAND_RESULT, PARAM_VERSION, LEAK_SINCE, OTHER_COMMANDERS, N_WORDS,
-) = range(16)  # fmt: skip
+    COMMAND_SEQ, COMMAND_RESULT, PARAM_VERSION, LEAK_SINCE, OTHER_COMMANDERS, FAULT_SEEN, N_WORDS,
+) = range(17)  # fmt: skip
 
 
 class Cycle:
@@ -126,11 +127,11 @@ class Cycle:
         words[OVERRUNS_IN_A_ROW] = words[OVERRUNS_IN_A_ROW] + 1 if skipped else 0
         words[REJECTED] += self.codec.receive(frames, inputs.n_frames, t_ns)
         sensed = self._sensing.read(t_ns, self._valve_in_force())
-        status = self._estimate(sensed.complete, skipped)
+        status = self._estimate(sensed.complete, skipped, self._moving())
         command, result = self._operator(inputs)
         found = self._events(inputs, sensed, status)
         device = int(words[DEVICE])
-        if self._diagnose(device, sensed.complete, skipped, t_ns):
+        if self._diagnose(sensed.complete, skipped, t_ns):
             found |= LEAK_ALARM
         x = self._estimate_view.x
         requested = self._tracking.command(
@@ -166,7 +167,12 @@ class Cycle:
             return observed if isfinite(observed) else 0.0
         return float(self._command_v[0])
 
-    def _estimate(self, complete: bool, skipped: int) -> int:
+    def _moving(self) -> bool:
+        """Whether what the diagnosis sees is the motion that it judges."""
+        words = self._words
+        return bool(words[DEVICE] == ACTIVE or (self.listen_only and words[STARTED]))
+
+    def _estimate(self, complete: bool, skipped: int, moving: bool) -> int:
         """Predict over the past interval and the skipped ones, correct with what came; returns the filter's status."""
         words, sensing, estimation = self._words, self._sensing, self._estimation
         y, u = sensing.y, sensing.u
@@ -179,9 +185,9 @@ class Cycle:
             words[STARTED] = 1
             return 0
         saturated = abs(u[0]) >= self._limits.command_max_v - self.rig.control.dead_band_v
-        estimation.hold(saturated or words[LEAK_SINCE] >= 0)
+        estimation.hold(saturated or words[FAULT_SEEN] != 0 or estimation.diagnosis.pending)
         estimation.predict(u, skipped)
-        status = estimation.step(u, y)
+        status = estimation.step(u, y, moving)
         words[REPAIRS] += (status & FILTER_TROUBLE) != 0
         return status
 
@@ -197,8 +203,9 @@ class Cycle:
             return Command.NONE, result
         if code == Command.ACKNOWLEDGE:
             self.monitor.acknowledge()
-            if self._words[LEAK_SINCE] >= 0:
-                self._words[LEAK_SINCE] = -1
+            self._estimation.diagnosis.acknowledge()
+            if self._words[FAULT_SEEN]:
+                self._words[FAULT_SEEN] = 0
                 self._estimation.forget_noise()
             return Command.NONE, Result.ACCEPTED
         if self.listen_only and code in (Command.ENABLE, Command.HOLD):
@@ -235,20 +242,24 @@ class Cycle:
             found |= BUS_OFF_EVENT
         return found
 
-    def _diagnose(self, device: int, complete: bool, skipped: int, t_ns: int) -> bool:
-        """Run the leak monitor on this cycle's residuals; returns whether its alarm stands."""
-        words, monitor = self._words, self.monitor
-        moving = device == ACTIVE or (self.listen_only and bool(words[STARTED]))
+    def _diagnose(self, complete: bool, skipped: int, t_ns: int) -> bool:
+        """Run the residual test, and look what the diagnosis says; returns whether its leak alarm stands."""
+        words, diagnosis = self._words, self._estimation.diagnosis
         residuals, variances = self._residuals, self._variances
         if complete and not skipped:
-            self._estimation.diagnosis.pressure_residuals(residuals, variances)
+            self._estimation.pressure_residuals(residuals, variances)
         else:
             residuals[:] = nan
-        alarm = monitor.step(residuals, variances, moving)
-        if alarm and words[LEAK_SINCE] < 0:
-            words[LEAK_SINCE] = t_ns
+        beyond = self.monitor.step(residuals, variances, self._moving() and not diagnosis.learning)
+        alarm = diagnosis.alarm
+        if (beyond or alarm) and not words[FAULT_SEEN]:
+            words[FAULT_SEEN] = 1
             self._estimation.forget_noise()
-        return bool(alarm)
+        if not alarm:
+            words[LEAK_SINCE] = -1
+        elif words[LEAK_SINCE] < 0:
+            words[LEAK_SINCE] = t_ns
+        return alarm == LEAK_ALARM_LEVEL
 
     def _enter(self, cycle: int) -> None:
         """The device state changed: every entry starts at the measured position, at rest, with a fresh law."""
@@ -279,13 +290,13 @@ class Cycle:
         monitor, tracking, record = self.monitor, self._tracking, self._record
         (
             device, _, fault, _, first_active, _, overruns, _, rejected, repairs,
-            command_seq, command_result, param_version, leak_since, _,
+            command_seq, command_result, param_version, leak_since, _, _,
         ) = self._words.tolist()  # fmt: skip
         active_t_ns = (inputs.cycle - first_active) * self.period_ns if first_active >= 0 else -1
         record.integers[:] = (
             inputs.cycle, inputs.t_ns, active_t_ns, device, found, fault, inputs.skipped, overruns,
             inputs.lateness_ns, inputs.exec_ns, inputs.n_frames, rejected, inputs.tx_failed, status, repairs,
-            monitor.alarm, monitor.channels, leak_since, command_seq, command_result, param_version,
+            self._estimation.diagnosis.alarm, monitor.channels, leak_since, command_seq, command_result, param_version,
         )  # fmt: skip
         record.measured[:] = sensed[:6]
         self._estimate_view.to_si(record.estimate, record.deviation)
@@ -296,3 +307,4 @@ class Cycle:
         )  # fmt: skip
         self._estimation.noise(record.noise)
         record.law[0] = tracking.flags
+        self._estimation.diagnosis.report(record.diagnosis_integers, record.diagnosis)

@@ -1,8 +1,4 @@
-"""The estimate that the law uses, and the residuals that the leak monitor judges.
-
-With a filter that adapts its noise the monitor gets the residuals of a twin whose Q and R stay as configured: what a
-leak does to the pressures, adaptation takes for noise within seconds.
-"""
+"""The estimate that the law uses, and the diagnosis that watches beside it with a filter of its own."""
 
 from collections.abc import Mapping
 from math import nan
@@ -23,7 +19,8 @@ NS_PER_MS: Final = 1_000_000
 
 
 class Estimation:
-    """The filter of one controller, and its twin if it adapts.
+    """The filter of one controller, and the diagnosis: its filter's Q and R stay as configured, because adaptation
+    takes what a leak does to the pressures for noise within seconds.
 
     Args:
         rig: the configuration.
@@ -32,35 +29,36 @@ class Estimation:
     Fields:
         filter: whose estimate the law uses.
         view: what the cycle reads of it.
-        diagnosis: the same of the filter that the monitor watches.
+        diagnosis: of the leaks.
     """
 
     def __init__(self, rig: Rig, arena: Mapping[str, Vector]) -> None:
         self.filter = assemble.build_filter(rig, arena["filter"])
-        self._twin = assemble.build_twin(rig, arena["twin"])
+        self.diagnosis = assemble.build_diagnosis(rig, arena["diagnosis"])
         self.view = EstimateView(self.filter)
-        self.diagnosis = self.view if self._twin is None else EstimateView(self._twin)
+        self._twin_view = EstimateView(self.diagnosis.twin)
         self._cycles_per_ms = NS_PER_MS / rig.loop.period_ns
         self._missing = np.full(cylinder.N_OUTPUTS, nan)
         self._unknown = np.full(cylinder.N_STATES + cylinder.N_OUTPUTS, nan)
 
     def start(self, y: Vector) -> None:
         """Start at rest where y (position m, pressures A, B MPa) says."""
-        x0 = np.array([y[0], 0.0, y[1], y[2]])
-        self.filter.reset(x0=x0)
-        if self._twin is not None:
-            self._twin.reset(x0=x0)
+        self.filter.reset(x0=np.array([y[0], 0.0, y[1], y[2]]))
+        self.diagnosis.start(y)
 
     def predict(self, u: Vector, periods: int) -> None:
         """Go on over periods in which nothing was measured."""
         for _ in range(periods):
-            self.step(u, self._missing)
+            self.step(u, self._missing, moving=False)
 
-    def step(self, u: Vector, y: Vector) -> int:
-        """One period; returns the status of the filter."""
-        if self._twin is not None:
-            self._twin.step(u, y)
+    def step(self, u: Vector, y: Vector, moving: bool) -> int:
+        """One period; returns the status of the filter. `moving`: whether the diagnosis may judge what it sees."""
+        self.diagnosis.step(u, y, moving)
         return int(self.filter.step(u, y))
+
+    def pressure_residuals(self, residuals_pa: Vector, variances_pa2: Vector) -> None:
+        """Fill both (2,), see `EstimateView.pressure_residuals`; of the filter that does not adapt."""
+        self._twin_view.pressure_residuals(residuals_pa, variances_pa2)
 
     def hold(self, on: bool) -> None:
         """Whether the noise estimate stays as it is: while what is seen is not the noise of a sound cylinder."""

@@ -53,6 +53,9 @@ DIMENSIONS: Final[Mapping[str, Dimension]] = {
     "per_s": Dimension("a rate", {"1/s": Decimal(1), "1/ms": Decimal(1000)}),
     "rad_per_s": _dimension("an angular frequency", rad_per_s="1"),
     "ns_per_m": _dimension("a viscous friction", N_s_per_m="1", kN_s_per_m="1e3"),
+    "m3_per_s": Dimension(
+        "a flow", {"m3/s": Decimal(1), "l/min": Decimal(1) / Decimal(60000), "L/min": Decimal(1) / Decimal(60000)}
+    ),
     "bytes": _dimension("a size", B="1", kB="1e3", GB="1e9", MB="1e6"),
 }
 

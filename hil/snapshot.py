@@ -26,9 +26,14 @@ FIELDS: Final[tuple[tuple[str, str, str, str], ...]] = (
     ("tx_failed", "<i8", "1", "commands the bus did not take since the start"),
     ("filter_status", "<i8", "1", "status code of the estimator's step"),
     ("filter_repairs", "<i8", "1", "estimator steps that were gated or repaired since the start"),
-    ("leak_alarm", "<i8", "1", "0 none, 1 alarm (latched until acknowledged)"),
-    ("leak_channel", "<i8", "bits", "which residuals raised it: 1 pressure A, 2 pressure B"),
-    ("leak_since_ns", "<i8", "ns", "t_ns of the alarm, -1 without one"),
+    ("leak_alarm", "<i8", "1", "0 none, 1 warning, 2 alarm (latched until acknowledged)"),
+    (
+        "leak_channel",
+        "<i8",
+        "bits",
+        "residuals beyond their threshold: 1 pressure A, 2 pressure B; latched as the alarm",
+    ),
+    ("leak_since_ns", "<i8", "ns", "t_ns of the warning or alarm, -1 without one"),
     ("command_seq", "<i8", "1", "sequence number of the last operator command or parameter change handled"),
     ("command_result", "<i8", "1", "its result (hil.commands.Result)"),
     ("param_version", "<i8", "1", "counts accepted parameter changes"),
@@ -76,17 +81,40 @@ FIELDS: Final[tuple[tuple[str, str, str, str], ...]] = (
     ("measurement_doubt_pressure_a", "<f8", "1", "relative standard deviation of that estimate; NaN: not estimated"),
     ("measurement_doubt_pressure_b", "<f8", "1", "relative standard deviation of that estimate; NaN: not estimated"),
     ("law_flags", "<i8", "bits", "of the control law: 1 at a limit, 2 an input was not finite, 4 no authority"),
+    ("diagnosis_mode", "<i8", "1", "0 learning, 1 calibrating, 2 watching, 3 something changed and is being judged"),
+    ("suspect", "<i8", "1", "the change that explains most now, a place in CHANGES; 13 none"),
+    ("unclear", "<i8", "bits", "the changes that cannot be excluded yet, by place in CHANGES"),
+    ("verdict", "<i8", "1", "the last change that was found, a place in CHANGES; 13 none explains it; -1 none yet"),
+    ("verdicts", "<i8", "1", "changes found since the start"),
+    ("verdict_onset_cycles", "<i8", "1", "cycles from the onset of that change to this one; -1 none yet"),
+    ("leak_kind", "<i8", "1", "the largest leak: 0 internal, 1 external A, 2 external B, -1 none"),
+    ("change_statistic", "<f8", "1", "2 ln of the likelihood ratio of the suspect"),
+    ("change_threshold", "<f8", "1", "of that statistic"),
+    ("verdict_size", "<f8", "1", "size of that change, in the unit of its place in CHANGES"),
+    ("verdict_std", "<f8", "1", "its standard deviation"),
+    ("verdict_confidence", "<f8", "1", "its posterior probability among all single changes"),
+    (
+        "leak_internal_m3ps",
+        "<f8",
+        "m3/s",
+        "leak flow above the baseline, from A to B, size at the mean pressures of now",
+    ),
+    ("leak_external_a_m3ps", "<f8", "m3/s", "leak flow above the baseline, out of chamber A"),
+    ("leak_external_b_m3ps", "<f8", "m3/s", "leak flow above the baseline, out of chamber B"),
+    ("leak_internal_std_m3ps", "<f8", "m3/s", "its standard deviation"),
+    ("leak_external_a_std_m3ps", "<f8", "m3/s", "its standard deviation"),
+    ("leak_external_b_std_m3ps", "<f8", "m3/s", "its standard deviation"),
 )
 
-SNAPSHOT_VERSION: Final = 3
+SNAPSHOT_VERSION: Final = 4
 SNAPSHOT = np.dtype([(name, kind) for name, kind, _, _ in FIELDS])
 
 
 class SnapshotRecord:
     """One Snapshot in memory of its own: `row` by field name, and views of its parts for fast writing.
 
-    `integers` (21,), then `measured` (6,), `estimate` (4,), `deviation` (4,), `rest`, `noise` (14,) and `law` (1,), all
-    in the order of FIELDS.
+    `integers` (21,), then `measured` (6,), `estimate` (4,), `deviation` (4,), `rest`, `noise` (14,), `law` (1,),
+    `diagnosis_integers` (7,) and `diagnosis` (11,), all in the order of FIELDS.
     """
 
     def __init__(self) -> None:
@@ -94,6 +122,7 @@ class SnapshotRecord:
         names = [name for name, _, _, _ in FIELDS]
         n_integers = names.index("position_m")
         starts = ("est_position_m", "std_position_m", "nis", "process_std_position_m", "law_flags")
+        diagnosis, sizes = names.index("diagnosis_mode"), names.index("change_statistic")
         estimate, deviation, rest, noise, law = (names.index(name) for name in starts)
         words = record.view(np.float64)
         self.row: Any = record[0]
@@ -104,4 +133,6 @@ class SnapshotRecord:
         self.deviation: NDArray[np.float64] = words[deviation:rest]
         self.rest: NDArray[np.float64] = words[rest:noise]
         self.noise: NDArray[np.float64] = words[noise:law]
-        self.law: NDArray[np.int64] = record.view(np.int64)[law:]
+        self.law: NDArray[np.int64] = record.view(np.int64)[law:diagnosis]
+        self.diagnosis_integers: NDArray[np.int64] = record.view(np.int64)[diagnosis:sizes]
+        self.diagnosis: NDArray[np.float64] = words[sizes:]

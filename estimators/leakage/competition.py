@@ -24,6 +24,7 @@ Matrix = NDArray[np.float64]
 
 C: Final = N_CHANGES
 WORK_SIZE: Final = 4 * C * C
+CLOSED: Final = 3.0  # standard deviations that a leak may seem to be below nothing
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -155,14 +156,21 @@ def all_together(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def winner(w_diagonal: Vector, w_right: Vector, step_std: Vector, confidence: Vector) -> int:
+def winner(w_diagonal: Vector, w_right: Vector, step_std: Vector, amounts: Vector, confidence: Vector) -> int:
     """Fill confidence (C + 1,) with the posterior probability of each single change and, last, of none, all equally
-    likely before; returns the most probable, C for none. A leak that would be less than the baseline does not count."""
+    likely before; returns the most probable, C for none.
+
+    Args:
+        w_diagonal, w_right: see `marginal`.
+        step_std: (C,) of a sudden change.
+        amounts: (C,) before the change: a leak may close, but no oil leaks in.
+        confidence: filled.
+    """
     highest = 0.0
     best = C
     for j in range(C):
         score = evidence(j, w_diagonal, w_right, step_std[j])
-        if j < N_LEAKS and w_right[j] < 0.0:
+        if j < N_LEAKS and w_right[j] < -CLOSED * np.sqrt(w_diagonal[j]) - amounts[j] * w_diagonal[j]:
             score = min(score, -0.5 * np.log(1.0 + step_std[j] ** 2 * w_diagonal[j]))
         confidence[j] = score
         if score > highest:

@@ -11,6 +11,7 @@ from math import isfinite, log
 from typing import Final
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from servohil.estimators.leakage import layout as at
@@ -118,6 +119,25 @@ def expected_ratio(hours: float) -> float:
     return 2.0 * log(RATIOS_PER_HOUR * hours)
 
 
+@njit(nogil=True, cache=True, error_model="numpy")
+def _report(state: Vector, threshold: float, integers: NDArray[np.int64], numbers: Vector) -> None:
+    integers[0] = int(state[at.MODE])
+    integers[1] = int(state[at.RATIO_CHANGE]) if state[at.RATIO] > 0.0 else N_CHANGES
+    integers[2] = int(state[at.UNCLEAR])
+    integers[3] = int(state[at.VERDICT])
+    integers[4] = int(state[at.VERDICTS])
+    integers[5] = int(state[at.CYCLES] - state[at.VERDICT_ONSET]) if state[at.VERDICT_ONSET] >= 0.0 else -1
+    integers[6] = int(state[at.LEAK])
+    numbers[0] = state[at.RATIO]
+    numbers[1] = threshold
+    numbers[2] = state[at.VERDICT_SIZE]
+    numbers[3] = state[at.VERDICT_STD]
+    numbers[4] = state[at.VERDICT_CONFIDENCE]
+    for j in range(N_LEAKS):
+        numbers[5 + j] = state[at.FLOW + j]
+        numbers[5 + N_LEAKS + j] = state[at.FLOW_STD + j]
+
+
 class Diagnosis:
     """Diagnosis of one cylinder; everything that changes lives in two arenas.
 
@@ -195,10 +215,21 @@ class Diagnosis:
         return bool(self.state[at.MODE] == at.PENDING)
 
     @property
+    def learning(self) -> bool:
+        """Whether the model is not yet what it will be."""
+        return bool(self.state[at.MODE] == at.LEARNING)
+
+    @property
     def verdict(self) -> str | None:
         """Name of the last change that was found; "unknown" for one that no single hypothesis explains."""
         found = int(self.state[at.VERDICT])
         return None if found < 0 else (NAMES[found] if found < N_CHANGES else "unknown")
+
+    def report(self, integers: NDArray[np.int64], numbers: Vector) -> None:
+        """Fill integers (7,) and numbers (11,): mode, suspect, changes that are not excluded (bits), verdict, count of
+        verdicts, cycles since the verdict's onset, largest leak; statistic, threshold, size of the verdict in units
+        of its change, its standard deviation, its confidence, flows of the three leaks m3/s, their deviations."""
+        _report(self.state, float(self._settings[at.THRESHOLD]), integers, numbers)
 
     @property
     def flows(self) -> Mapping[str, tuple[float, float]]:

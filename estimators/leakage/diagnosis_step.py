@@ -73,9 +73,11 @@ def step(
         return status
     if not judging:
         arena[at.SETTLED] = 0.0
+        arena[at.LAG_S] += settings[at.DT_S]  # things drift on while nobody looks
         return status
     if arena[at.SETTLED] < settings[at.SETTLE_STEPS]:
         arena[at.SETTLED] += 1.0
+        arena[at.LAG_S] += settings[at.DT_S]
         return status
     block = vector_at(arena, at.BLOCK, INFORMATION_SIZE)
     observe(block, white, channels)

@@ -67,7 +67,10 @@ def _weigh(arena: Vector, work: Vector, settings: Vector) -> int:
     drift(covariance, vector_at(settings, at.DRIFT, C), arena[at.LAG_S])
     if not lower_cholesky(covariance, factor) or not marginal(record, factor, solve, diagonal, right):
         return -1
-    best = winner(diagonal, right, step_std, vector_at(arena, at.CONFIDENCE, C + 1))
+    amounts = vector_at(work, at.W_MATRIX, C)  # no longer needed: its factor is
+    for j in range(C):
+        amounts[j] = arena[at.KNOWN + j] + arena[at.THETA + j]
+    best = winner(diagonal, right, step_std, amounts, vector_at(arena, at.CONFIDENCE, C + 1))
     unclear = 0
     for j in range(C):
         informed = diagonal[j] + 1.0 / step_std[j] ** 2

@@ -64,11 +64,30 @@ class Limits(Section):
     overruns_fault: Annotated[int, Field(ge=1)] = 10  # in a row
 
 
+class TwinNoise(Section):
+    """[leakage.process_std]: process noise of the diagnosis' own filter, per millisecond: that of a good model, for
+    what the model leaves out is among the changes that the diagnosis looks for."""
+
+    position_m: NonNegative = 1e-8
+    velocity_mps: NonNegative = 3e-5
+    pressure_a_pa: NonNegative = 2e3
+    pressure_b_pa: NonNegative = 2e3
+
+
 class Leakage(Section):
-    """[leakage]: the residual monitor, and what the gate does at its alarm."""
+    """[leakage]: the diagnosis and the residual test beside it, and what the gate does at a leak alarm."""
 
     threshold_sigma: Positive
     cusum_drift: NonNegative
     cusum_threshold: Positive
     settle_s: NonNegative
     reaction: Literal["none", "hold", "fault_hold"] = "none"
+    learn_s: NonNegative = 0.0  # of healthy motion, for baseline and model; 0: [cylinder] is the truth
+    hours_between_false_suspicions: Positive = 1000.0
+    judge_s: Positive = 0.5  # from the suspicion to the first verdict
+    give_up_s: Positive = 60.0  # then an unexplained change becomes part of the baseline
+    confidence: Annotated[float, Field(gt=0.5, lt=1.0)] = 0.999
+    warn_m3_per_s: Positive = 0.05 / 6e4  # above the baseline
+    alarm_m3_per_s: Positive = 0.3 / 6e4
+    process_std: TwinNoise = TwinNoise()
+    measurement_std: MeasurementNoise | None = None  # None: of [estimator]

@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class State(_message.Message):
-    __slots__ = ("cycle", "t_ns", "active_t_ns", "state", "events", "fault", "skipped", "overruns", "lateness_ns", "exec_ns", "rx_frames", "rx_rejected", "tx_failed", "filter_status", "filter_repairs", "leak_alarm", "leak_channel", "leak_since_ns", "command_seq", "command_result", "param_version", "position_m", "pressure_a_pa", "pressure_b_pa", "supply_pa", "tank_pa", "spool_v", "est_position_m", "est_velocity_mps", "est_pressure_a_pa", "est_pressure_b_pa", "std_position_m", "std_velocity_mps", "std_pressure_a_pa", "std_pressure_b_pa", "nis", "ref_position_m", "ref_velocity_mps", "ref_acceleration_mps2", "ref_jerk_mps3", "sliding", "law_v", "command_v", "residual_a_pa", "residual_b_pa", "threshold_a_pa", "threshold_b_pa", "cusum_a", "cusum_b", "cusum_threshold", "process_std_position_m", "process_std_velocity_mps", "process_std_pressure_a_pa", "process_std_pressure_b_pa", "measurement_std_position_m", "measurement_std_pressure_a_pa", "measurement_std_pressure_b_pa", "process_doubt_position", "process_doubt_velocity", "process_doubt_pressure_a", "process_doubt_pressure_b", "measurement_doubt_position", "measurement_doubt_pressure_a", "measurement_doubt_pressure_b", "law_flags")
+    __slots__ = ("cycle", "t_ns", "active_t_ns", "state", "events", "fault", "skipped", "overruns", "lateness_ns", "exec_ns", "rx_frames", "rx_rejected", "tx_failed", "filter_status", "filter_repairs", "leak_alarm", "leak_channel", "leak_since_ns", "command_seq", "command_result", "param_version", "position_m", "pressure_a_pa", "pressure_b_pa", "supply_pa", "tank_pa", "spool_v", "est_position_m", "est_velocity_mps", "est_pressure_a_pa", "est_pressure_b_pa", "std_position_m", "std_velocity_mps", "std_pressure_a_pa", "std_pressure_b_pa", "nis", "ref_position_m", "ref_velocity_mps", "ref_acceleration_mps2", "ref_jerk_mps3", "sliding", "law_v", "command_v", "residual_a_pa", "residual_b_pa", "threshold_a_pa", "threshold_b_pa", "cusum_a", "cusum_b", "cusum_threshold", "process_std_position_m", "process_std_velocity_mps", "process_std_pressure_a_pa", "process_std_pressure_b_pa", "measurement_std_position_m", "measurement_std_pressure_a_pa", "measurement_std_pressure_b_pa", "process_doubt_position", "process_doubt_velocity", "process_doubt_pressure_a", "process_doubt_pressure_b", "measurement_doubt_position", "measurement_doubt_pressure_a", "measurement_doubt_pressure_b", "law_flags", "diagnosis_mode", "suspect", "unclear", "verdict", "verdicts", "verdict_onset_cycles", "leak_kind", "change_statistic", "change_threshold", "verdict_size", "verdict_std", "verdict_confidence", "leak_internal_m3ps", "leak_external_a_m3ps", "leak_external_b_m3ps", "leak_internal_std_m3ps", "leak_external_a_std_m3ps", "leak_external_b_std_m3ps")
     CYCLE_FIELD_NUMBER: _ClassVar[int]
     T_NS_FIELD_NUMBER: _ClassVar[int]
     ACTIVE_T_NS_FIELD_NUMBER: _ClassVar[int]
@@ -74,6 +74,24 @@ class State(_message.Message):
     MEASUREMENT_DOUBT_PRESSURE_A_FIELD_NUMBER: _ClassVar[int]
     MEASUREMENT_DOUBT_PRESSURE_B_FIELD_NUMBER: _ClassVar[int]
     LAW_FLAGS_FIELD_NUMBER: _ClassVar[int]
+    DIAGNOSIS_MODE_FIELD_NUMBER: _ClassVar[int]
+    SUSPECT_FIELD_NUMBER: _ClassVar[int]
+    UNCLEAR_FIELD_NUMBER: _ClassVar[int]
+    VERDICT_FIELD_NUMBER: _ClassVar[int]
+    VERDICTS_FIELD_NUMBER: _ClassVar[int]
+    VERDICT_ONSET_CYCLES_FIELD_NUMBER: _ClassVar[int]
+    LEAK_KIND_FIELD_NUMBER: _ClassVar[int]
+    CHANGE_STATISTIC_FIELD_NUMBER: _ClassVar[int]
+    CHANGE_THRESHOLD_FIELD_NUMBER: _ClassVar[int]
+    VERDICT_SIZE_FIELD_NUMBER: _ClassVar[int]
+    VERDICT_STD_FIELD_NUMBER: _ClassVar[int]
+    VERDICT_CONFIDENCE_FIELD_NUMBER: _ClassVar[int]
+    LEAK_INTERNAL_M3PS_FIELD_NUMBER: _ClassVar[int]
+    LEAK_EXTERNAL_A_M3PS_FIELD_NUMBER: _ClassVar[int]
+    LEAK_EXTERNAL_B_M3PS_FIELD_NUMBER: _ClassVar[int]
+    LEAK_INTERNAL_STD_M3PS_FIELD_NUMBER: _ClassVar[int]
+    LEAK_EXTERNAL_A_STD_M3PS_FIELD_NUMBER: _ClassVar[int]
+    LEAK_EXTERNAL_B_STD_M3PS_FIELD_NUMBER: _ClassVar[int]
     cycle: int
     t_ns: int
     active_t_ns: int
@@ -139,7 +157,25 @@ class State(_message.Message):
     measurement_doubt_pressure_a: float
     measurement_doubt_pressure_b: float
     law_flags: int
-    def __init__(self, cycle: _Optional[int] = ..., t_ns: _Optional[int] = ..., active_t_ns: _Optional[int] = ..., state: _Optional[int] = ..., events: _Optional[int] = ..., fault: _Optional[int] = ..., skipped: _Optional[int] = ..., overruns: _Optional[int] = ..., lateness_ns: _Optional[int] = ..., exec_ns: _Optional[int] = ..., rx_frames: _Optional[int] = ..., rx_rejected: _Optional[int] = ..., tx_failed: _Optional[int] = ..., filter_status: _Optional[int] = ..., filter_repairs: _Optional[int] = ..., leak_alarm: _Optional[int] = ..., leak_channel: _Optional[int] = ..., leak_since_ns: _Optional[int] = ..., command_seq: _Optional[int] = ..., command_result: _Optional[int] = ..., param_version: _Optional[int] = ..., position_m: _Optional[float] = ..., pressure_a_pa: _Optional[float] = ..., pressure_b_pa: _Optional[float] = ..., supply_pa: _Optional[float] = ..., tank_pa: _Optional[float] = ..., spool_v: _Optional[float] = ..., est_position_m: _Optional[float] = ..., est_velocity_mps: _Optional[float] = ..., est_pressure_a_pa: _Optional[float] = ..., est_pressure_b_pa: _Optional[float] = ..., std_position_m: _Optional[float] = ..., std_velocity_mps: _Optional[float] = ..., std_pressure_a_pa: _Optional[float] = ..., std_pressure_b_pa: _Optional[float] = ..., nis: _Optional[float] = ..., ref_position_m: _Optional[float] = ..., ref_velocity_mps: _Optional[float] = ..., ref_acceleration_mps2: _Optional[float] = ..., ref_jerk_mps3: _Optional[float] = ..., sliding: _Optional[float] = ..., law_v: _Optional[float] = ..., command_v: _Optional[float] = ..., residual_a_pa: _Optional[float] = ..., residual_b_pa: _Optional[float] = ..., threshold_a_pa: _Optional[float] = ..., threshold_b_pa: _Optional[float] = ..., cusum_a: _Optional[float] = ..., cusum_b: _Optional[float] = ..., cusum_threshold: _Optional[float] = ..., process_std_position_m: _Optional[float] = ..., process_std_velocity_mps: _Optional[float] = ..., process_std_pressure_a_pa: _Optional[float] = ..., process_std_pressure_b_pa: _Optional[float] = ..., measurement_std_position_m: _Optional[float] = ..., measurement_std_pressure_a_pa: _Optional[float] = ..., measurement_std_pressure_b_pa: _Optional[float] = ..., process_doubt_position: _Optional[float] = ..., process_doubt_velocity: _Optional[float] = ..., process_doubt_pressure_a: _Optional[float] = ..., process_doubt_pressure_b: _Optional[float] = ..., measurement_doubt_position: _Optional[float] = ..., measurement_doubt_pressure_a: _Optional[float] = ..., measurement_doubt_pressure_b: _Optional[float] = ..., law_flags: _Optional[int] = ...) -> None: ...
+    diagnosis_mode: int
+    suspect: int
+    unclear: int
+    verdict: int
+    verdicts: int
+    verdict_onset_cycles: int
+    leak_kind: int
+    change_statistic: float
+    change_threshold: float
+    verdict_size: float
+    verdict_std: float
+    verdict_confidence: float
+    leak_internal_m3ps: float
+    leak_external_a_m3ps: float
+    leak_external_b_m3ps: float
+    leak_internal_std_m3ps: float
+    leak_external_a_std_m3ps: float
+    leak_external_b_std_m3ps: float
+    def __init__(self, cycle: _Optional[int] = ..., t_ns: _Optional[int] = ..., active_t_ns: _Optional[int] = ..., state: _Optional[int] = ..., events: _Optional[int] = ..., fault: _Optional[int] = ..., skipped: _Optional[int] = ..., overruns: _Optional[int] = ..., lateness_ns: _Optional[int] = ..., exec_ns: _Optional[int] = ..., rx_frames: _Optional[int] = ..., rx_rejected: _Optional[int] = ..., tx_failed: _Optional[int] = ..., filter_status: _Optional[int] = ..., filter_repairs: _Optional[int] = ..., leak_alarm: _Optional[int] = ..., leak_channel: _Optional[int] = ..., leak_since_ns: _Optional[int] = ..., command_seq: _Optional[int] = ..., command_result: _Optional[int] = ..., param_version: _Optional[int] = ..., position_m: _Optional[float] = ..., pressure_a_pa: _Optional[float] = ..., pressure_b_pa: _Optional[float] = ..., supply_pa: _Optional[float] = ..., tank_pa: _Optional[float] = ..., spool_v: _Optional[float] = ..., est_position_m: _Optional[float] = ..., est_velocity_mps: _Optional[float] = ..., est_pressure_a_pa: _Optional[float] = ..., est_pressure_b_pa: _Optional[float] = ..., std_position_m: _Optional[float] = ..., std_velocity_mps: _Optional[float] = ..., std_pressure_a_pa: _Optional[float] = ..., std_pressure_b_pa: _Optional[float] = ..., nis: _Optional[float] = ..., ref_position_m: _Optional[float] = ..., ref_velocity_mps: _Optional[float] = ..., ref_acceleration_mps2: _Optional[float] = ..., ref_jerk_mps3: _Optional[float] = ..., sliding: _Optional[float] = ..., law_v: _Optional[float] = ..., command_v: _Optional[float] = ..., residual_a_pa: _Optional[float] = ..., residual_b_pa: _Optional[float] = ..., threshold_a_pa: _Optional[float] = ..., threshold_b_pa: _Optional[float] = ..., cusum_a: _Optional[float] = ..., cusum_b: _Optional[float] = ..., cusum_threshold: _Optional[float] = ..., process_std_position_m: _Optional[float] = ..., process_std_velocity_mps: _Optional[float] = ..., process_std_pressure_a_pa: _Optional[float] = ..., process_std_pressure_b_pa: _Optional[float] = ..., measurement_std_position_m: _Optional[float] = ..., measurement_std_pressure_a_pa: _Optional[float] = ..., measurement_std_pressure_b_pa: _Optional[float] = ..., process_doubt_position: _Optional[float] = ..., process_doubt_velocity: _Optional[float] = ..., process_doubt_pressure_a: _Optional[float] = ..., process_doubt_pressure_b: _Optional[float] = ..., measurement_doubt_position: _Optional[float] = ..., measurement_doubt_pressure_a: _Optional[float] = ..., measurement_doubt_pressure_b: _Optional[float] = ..., law_flags: _Optional[int] = ..., diagnosis_mode: _Optional[int] = ..., suspect: _Optional[int] = ..., unclear: _Optional[int] = ..., verdict: _Optional[int] = ..., verdicts: _Optional[int] = ..., verdict_onset_cycles: _Optional[int] = ..., leak_kind: _Optional[int] = ..., change_statistic: _Optional[float] = ..., change_threshold: _Optional[float] = ..., verdict_size: _Optional[float] = ..., verdict_std: _Optional[float] = ..., verdict_confidence: _Optional[float] = ..., leak_internal_m3ps: _Optional[float] = ..., leak_external_a_m3ps: _Optional[float] = ..., leak_external_b_m3ps: _Optional[float] = ..., leak_internal_std_m3ps: _Optional[float] = ..., leak_external_a_std_m3ps: _Optional[float] = ..., leak_external_b_std_m3ps: _Optional[float] = ...) -> None: ...
 
 class StateBatch(_message.Message):
     __slots__ = ("seq", "t_unix_ns", "age_ns", "lost", "samples")
