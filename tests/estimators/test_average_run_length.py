@@ -58,7 +58,7 @@ def test_known_run_lengths():
     assert siegmund_run_length(0.0, 0.5, 5.0) == pytest.approx(938.0, rel=1e-3)
 
 
-@pytest.mark.parametrize("threshold", [12.0, 22.0, 45.0, 90.0])
+@pytest.mark.parametrize("threshold", [12.0, 22.0, 45.0, 70.0])
 def test_rare_alarms_lose_no_digits(threshold):
     """Siegmund's error is of the boundary alone: the same however long the run."""
     error = markov_run_length(0.0, 0.5, threshold) / siegmund_run_length(0.0, 0.5, threshold)

@@ -22,11 +22,11 @@ def test_interval_holds_the_true_rate_as_often_as_it_says():
     """On white residuals the true rate of any threshold is known."""
     rng = np.random.default_rng(1)
     test, hours = Cusum.for_rate(1.0, RATE_HZ), 200.0 / 3600.0
-    results = [calibrate(test, rng.standard_normal(60_000), hours) for _ in range(25)]
+    results = [calibrate(test, rng.standard_normal(60_000), hours) for _ in range(18)]
     true = np.array([r.test.hours_between_false_alarms for r in results])
     inside = [r.low_hours <= t <= r.high_hours for r, t in zip(results, true, strict=True)]
-    assert sum(inside) >= 19  # 90 % are 22.5; 18 or fewer in 3 % of cases
-    assert abs(np.mean(np.log(true / hours))) < 0.25  # three times 0.4 / sqrt(25)
+    assert sum(inside) >= 13  # 90 % are 16; 12 or fewer in 1 % of cases
+    assert abs(np.mean(np.log(true / hours))) < 0.3  # three times 0.4 / sqrt(18)
     assert np.mean([r.slope for r in results]) == pytest.approx(1.0, abs=0.05)
 
 

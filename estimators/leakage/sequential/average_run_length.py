@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 
 OVERSHOOT: Final = 1.166  # both boundaries: twice the mean overshoot 0.583 of a Gaussian walk without drift
-LONGEST: Final = 1e45  # samples; beyond, what is cut off from the band shows, and Siegmund's formula stands in
-BAND: Final = 15.0  # standard deviations of one sample; beyond is 4e-51
+LONGEST: Final = 1e34  # samples; beyond, what is cut off from the band shows, and Siegmund's formula stands in
+BAND: Final = 12.5  # standard deviations of one sample; beyond is 4e-36
 CELL: Final = 0.2  # width of the finer chain's cells, in standard deviations; see `markov_run_length`
 
 

@@ -1,7 +1,7 @@
 """Threshold for a stated false-alarm rate on residuals as they are: correlated, and not quite Gaussian.
 
-White-noise theory is wrong for them by orders of magnitude (an AR(1) residual of 0.6 alarms a CUSUM 90 times as
-often). The alarms of the test are counted on fault-free residuals at a ladder of thresholds that are low enough for
+White-noise theory is wrong for them by orders of magnitude (an AR(1) residual with rho = 0.6 trips a
+CUSUM of one alarm in 20 s 160 times as often). The alarms of the test are counted on fault-free residuals at a ladder of thresholds that are low enough for
 many alarms. Above, the logarithm of the time between false alarms goes on along a straight line over the logarithm of
 what white-noise theory gives for the same threshold: for the CUSUM and the SPRT that is linear in the threshold, for
 the GLR in the threshold less its logarithm, for a plain threshold in its tail. On white residuals the line has offset 0
@@ -31,7 +31,7 @@ from servohil.estimators.leakage.sequential.sequential_test import (
 Test = TypeVar("Test", bound=SequentialTest)
 
 LEVELS: Final = 48  # of the ladder, coarse, from the shortest white run length to the longest
-FINE_LEVELS: Final = 24  # up to where alarms become few
+FINE_LEVELS: Final = 16  # up to where alarms become few
 FEWEST_ALARMS: Final = 30  # at a level that is used
 SPAN: Final = 300.0  # most alarms at a level that is used, in those of the highest: the line is that of long runs
 FEWEST_LEVELS: Final = 4

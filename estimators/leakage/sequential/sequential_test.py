@@ -24,7 +24,7 @@ WILDEST: Final = 1e6  # standard deviations; more counts as this much, and no sq
 
 MIN_SAMPLES: Final = 100.0  # between false alarms: below, an "alarm" says nothing
 MAX_SAMPLES: Final = 1e12  # 32 years at 1 kHz; no residual is Gaussian so far out
-LONGEST_WHITE: Final = 1e40  # that a threshold can be found for: correlated residuals alarm so much sooner
+LONGEST_WHITE: Final = 1e30  # that a threshold can be found for: correlated residuals alarm so much sooner
 SECONDS_PER_HOUR: Final = 3600.0
 
 
