@@ -1,12 +1,12 @@
 """Threshold for a stated false-alarm rate on residuals as they are: correlated, and not quite Gaussian.
 
-White-noise theory is wrong for them by orders of magnitude (an AR(1) residual with rho = 0.6 trips a
-CUSUM of one alarm in 20 s 160 times as often). The alarms of the test are counted on fault-free residuals at a ladder of thresholds that are low enough for
-many alarms. Above, the logarithm of the time between false alarms goes on along a straight line over the logarithm of
-what white-noise theory gives for the same threshold: for the CUSUM and the SPRT that is linear in the threshold, for
-the GLR in the threshold less its logarithm, for a plain threshold in its tail. On white residuals the line has offset 0
-and slope 1. Drawing the blocks of the record again with replacement (bootstrap) tells how sure the result is; blocks
-are long, so that the correlation within them counts.
+White-noise theory is wrong for them by orders of magnitude: an AR(1) residual with rho = 0.6 trips a CUSUM of one alarm
+in 20 s 160 times as often. The alarms of the test are counted on fault-free residuals at a ladder of thresholds that
+are low enough for many alarms. Above, the logarithm of the time between false alarms goes on along a straight line over
+the logarithm of what white-noise theory gives for the same threshold: for the CUSUM and the SPRT that is linear in the
+threshold, for the GLR in the threshold less its logarithm, for a plain threshold in its tail. On white residuals the
+line has offset 0 and slope 1. Drawing the blocks of the record again with replacement (bootstrap) tells how sure the
+result is; blocks are long, so that the correlation within them counts.
 
 Strong correlation leaves no threshold in reach (ten-fold variance at low frequency, ten-fold threshold of the CUSUM).
 Then divide the residuals by `long_run_deviation` first: a shift counts in that unit too, so theory tells its delay.
