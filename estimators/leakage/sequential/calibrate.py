@@ -5,8 +5,8 @@ in 20 s 160 times as often. The alarms of the test are counted on fault-free res
 are low enough for many alarms. Above, the logarithm of the time between false alarms goes on along a straight line over
 the logarithm of what white-noise theory gives for the same threshold: for the CUSUM and the SPRT that is linear in the
 threshold, for the GLR in the threshold less its logarithm, for a plain threshold in its tail. On white residuals the
-line has offset 0 and slope 1. Drawing the blocks of the record again with replacement (bootstrap) tells how sure the
-result is; blocks are long, so that the correlation within them counts.
+line has offset 0 and slope 1. Leaving out one block of the record after the other (jackknife) tells how sure the result
+is; blocks are long, so that the correlation within them counts.
 
 Strong correlation leaves no threshold in reach (ten-fold variance at low frequency, ten-fold threshold of the CUSUM).
 Then divide the residuals by `long_run_deviation` first: a shift counts in that unit too, so theory tells its delay.
@@ -37,8 +37,7 @@ SPAN: Final = 300.0  # most alarms at a level that is used, in those of the high
 FEWEST_LEVELS: Final = 4
 BLOCKS: Final = 40
 MEANS: Final = 200  # blocks of `long_run_deviation`
-DRAWS: Final = 1000
-PROBABILITY: Final = 0.9  # of the interval
+QUANTILE: Final = 1.685  # of Student's t with 39 degrees of freedom: an interval of 90 %
 UNSURE: Final = 3.0  # a stated time is refused where the interval falls below this part of it
 FURTHEST: Final = 1e4  # no extrapolation beyond so many lengths of the record, however sure it looks
 
@@ -60,14 +59,13 @@ class Calibration(Generic[Test]):
     extrapolation: float  # stated time / length of the record
 
 
-def calibrate(test: Test, residuals: ArrayLike, hours_between_false_alarms: float, seed: int = 0) -> Calibration[Test]:
+def calibrate(test: Test, residuals: ArrayLike, hours_between_false_alarms: float) -> Calibration[Test]:
     """Give a test the threshold for a stated mean time between false alarms on residuals like these.
 
     Args:
         test: its other settings and its sample rate count, not its threshold.
         residuals: (N,) fault-free, in standard deviations; NaN = missing.
         hours_between_false_alarms: h.
-        seed: of the bootstrap.
 
     Raises:
         SequentialTestError: the record is too short or cannot support the stated time; names the attainable one.
@@ -79,13 +77,13 @@ def calibrate(test: Test, residuals: ArrayLike, hours_between_false_alarms: floa
     present = int(np.isfinite(z).sum())
     ladder = _Ladder.of(test, z, present)
     offset, slope = (float(x) for x in ladder.line(ladder.alarms.sum(axis=1)))
-    draws = np.random.default_rng(seed).multinomial(BLOCKS, np.full(BLOCKS, 1.0 / BLOCKS), size=DRAWS)
-    lines = ladder.line(draws @ ladder.alarms.T)
+    lines = ladder.line((ladder.alarms.sum(axis=1, keepdims=True) - ladder.alarms).T)  # each without one block
 
     def interval(white: Vector) -> Vector:
         """(2, K) of ln(samples) where theory has ln(samples) = white, (K,)."""
-        ends = (0.5 - 0.5 * PROBABILITY, 0.5 + 0.5 * PROBABILITY)
-        return np.asarray(np.quantile(lines[:, :1] + lines[:, 1:] * white, ends, axis=0))
+        without = lines[:, :1] + lines[:, 1:] * white
+        deviation = np.sqrt((BLOCKS - 1) * np.var(without, axis=0))
+        return np.asarray(offset + slope * white + np.outer((-QUANTILE, QUANTILE), deviation))
 
     reach = np.linspace(ladder.white[0], log(LONGEST_WHITE), 400)
     expected = offset + slope * reach
