@@ -81,13 +81,13 @@ def test_the_leak_sets_in_with_the_flows_of_equation_21():
     leaking, sound = condition.data(np.random.default_rng(5)), condition.fault_free(seed)
     k = condition.onset
     np.testing.assert_array_equal(leaking.samples[:k], sound.samples[:k])  # the noise is the same
-    position, _, a, b = 0.5 * (sound.states[k - 1] + sound.states[k])  # on average while it leaks
+    position, _, a, b = 0.5 * (sound.states[k - 1] + sound.states[k])  # a mean; the valve makes up a little
     internal, to_tank_a, to_tank_b = 1.724e-7 * (a - b), 2.4e-6 * (a - 0.9), 1.02e-7 * (b - 0.9)  # m3/s
     expected = 0.7 * np.array([  # 700 MPa for 1 ms
         -(internal + to_tank_a) / (8.04e-4 * position + 2.13e-4),
         (internal - to_tank_b) / (4.24e-4 * (0.6 - position) + 1.07e-4),
     ])  # fmt: skip
-    np.testing.assert_allclose((leaking.states - sound.states)[k, 2:], expected, rtol=0.03)  # the valve makes up for a little
+    np.testing.assert_allclose((leaking.states - sound.states)[k, 2:], expected, rtol=0.03)
     for reading in READINGS:
         model = Detector(condition, RIGHT, reading).new_filter().model
         np.testing.assert_array_equal(model.p, noise_scenarios.PARAMETERS.vector())
