@@ -206,7 +206,8 @@ def family(id: str, section: str, factor: float, onset_s: float, threshold_pa: f
             f"{id}-scaled", "physically scaled", section, scaled(factor, onset_s), threshold_pa,
             BENCH_PRESSURE_STD_PA,
             "Physically scaled: the process noise of rigs/bench.toml, sensors of 20 um and 0.2 bar rms, 1 kHz; Q and R "
-            "start at 1e-5 and 1e-6 of the truth, as in P1.",
+            "start at 1e-5 and 1e-6 of the truth, as in P1. Measuring the position alone ASr-UKF loses the pressures "
+            "altogether.",
         ),
     )  # fmt: skip
 

@@ -10,7 +10,7 @@ from servohil.sim_bench.experiments.figures import save
 from servohil.sim_bench.experiments.p1_leakage_residuals import FILTERS, READINGS, START, Detector
 
 PART: Final = 100  # steps of which the largest residual is drawn
-LOW, HIGH = 1e-3, 3e5  # times the threshold: what is beyond leaves the picture
+LOW, LEAST, HIGH = 1e-2, 30.0, 3e5  # times the threshold: the picture ends there, at least and at most
 WIDTHS: Final = (2.4, 1.8, 1.3, 0.9)  # narrower on top: what agrees can be seen
 
 
@@ -27,11 +27,13 @@ def draw_residuals(experiment: Experiment, path: Path) -> None:
 
     data = experiment.data(np.random.default_rng(0))
     picture = Picture(figsize=(13, 6.0), layout="constrained")
+    top = LEAST
     axes = picture.subplots(2, len(READINGS), sharex=True, sharey=True)
     for name, new_detector in experiment.filters.items():
         detector: Detector = new_detector()
         ratio = in_thresholds(estimates(experiment, name, data))
         time = experiment.dt_s * PART * (np.arange(len(ratio)) + 0.5)
+        top = max(top, 2.0 * float(ratio[START // PART :].max()))
         place = FILTERS.index(detector.filter)
         for chamber, axis in enumerate(axes[:, READINGS.index(detector.reading)]):
             axis.semilogy(time, ratio[:, chamber], f"C{place}", linewidth=WIDTHS[place], label=detector.filter)
@@ -39,7 +41,7 @@ def draw_residuals(experiment: Experiment, path: Path) -> None:
     for axis in axes.flat:
         axis.axhline(1.0, color="tab:gray", linewidth=1.5, zorder=0)
         axis.axvspan(0.0, experiment.dt_s * START, color="0.92", zorder=0)
-        axis.set_ylim(LOW, HIGH)
+        axis.set_ylim(LOW, min(top, HIGH))
         axis.set_xlim(0.0, experiment.dt_s * len(data.states))
     for reading, axis, bottom in zip(READINGS, axes[0], axes[1], strict=True):
         axis.set_title(reading)
