@@ -172,7 +172,7 @@ def with_derived(
             better_than_conventional(), frozen(),
             PaperClaim(
                 "ours: adaptation hides the fault: from 5 s after the onset the likelihood form's innovation is above "
-                "its threshold less than a fifth as often as that of the filter that knows",
+                "its threshold less than a fifth as often as that of the filter that knows (which must be so at all)",
                 hidden(0.2, f"{LIKELIHOOD}: {INNOVATION}", f"{RIGHT}: {INNOVATION}"),
             ),
         ),
