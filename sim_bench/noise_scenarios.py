@@ -5,7 +5,7 @@ the noise. Noise is added once per step of 1 ms to the state in (m, m/s, MPa, MP
 """
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -46,6 +46,13 @@ class NoiseScenario:
         return scale * np.array(self.q), scale * np.array(self.r)
 
 
+class Fault(NamedTuple):
+    """Parameters of the plant from a step on, which no filter is told."""
+
+    parameters: cylinder.CylinderParameters
+    onset: int
+
+
 P1_Q, P1_R = (1e-7,) * 4, (1e-5,) * 3
 PHYSICAL_Q, PHYSICAL_R = (1e-12, 1e-8, 1e-6, 1e-6), (1e-8, 1e-4, 1e-4)
 SCENARIOS: Final = (
@@ -79,7 +86,7 @@ def _advance(x: Vector, u: Vector, p: Vector, dt: float) -> Vector:
 
 
 @njit(cache=True, nogil=True)
-def _simulate(seed: int, q: Matrix, r: Matrix, p: Vector, start: Vector) -> Any:
+def _simulate(seed: int, q: Matrix, r: Matrix, before: Vector, after: Vector, onset: int, start: Vector) -> Any:
     np.random.seed(seed)
     steps = q.shape[0]
     inputs, samples, states = np.empty((steps, 3)), np.empty((steps, 3)), np.empty((steps, 4))
@@ -88,6 +95,7 @@ def _simulate(seed: int, q: Matrix, r: Matrix, p: Vector, start: Vector) -> Any:
     supply = SUPPLY_PA / 1e6
     for k in range(steps):
         t = k * DT_S
+        p = before if k < onset else after
         speed = 0.3 * np.cos(2 * t) + 4.0 * (0.3 + 0.15 * np.sin(2 * t) - x[0])
         drop, area = (supply - x[2], p[2]) if speed >= 0 else (supply - x[3], p[3])
         u[0] = min(max(speed * area / (2.36e-5 * np.sqrt(max(drop, 0.5))), -10.0), 10.0)
@@ -102,14 +110,18 @@ def _simulate(seed: int, q: Matrix, r: Matrix, p: Vector, start: Vector) -> Any:
     return inputs, samples, states
 
 
-def simulate(scenario: NoiseScenario, steps: int, seed: int, loss: float = 0.0) -> tuple[Matrix, Matrix, Matrix]:
+def simulate(
+    scenario: NoiseScenario, steps: int, seed: int, loss: float = 0.0, fault: Fault | None = None
+) -> tuple[Matrix, Matrix, Matrix]:
     """Inputs (steps, 3), samples (steps, 1 or 3) with NaN where lost, true states (steps, 4).
 
     Args:
         loss: share of the samples lost at random, all channels of a step at once, as with one lost packet.
+        fault: what the plant becomes; the noise of a seed is the same with and without.
     """
     q, r = scenario.variances(steps)
-    inputs, samples, states = _simulate(seed, q, r, PARAMETERS.vector(), X_START)
+    after, onset = (PARAMETERS, steps) if fault is None else fault
+    inputs, samples, states = _simulate(seed, q, r, PARAMETERS.vector(), after.vector(), onset, X_START)
     if scenario.position_only:
         samples = samples[:, :1].copy()
     if loss > 0.0:

@@ -6,6 +6,7 @@ from typing import Final
 from servohil.sim_bench.experiments import (
     p1_arm,
     p1_cylinder,
+    p1_leakage,
     p1_recording,
     p2_eha,
     p2_switching,
@@ -25,6 +26,7 @@ CATALOGUE: Final[dict[str, Experiment]] = {
     for experiment in (
         *p1_arm.EXPERIMENTS,
         *p1_cylinder.EXPERIMENTS,
+        *p1_leakage.EXPERIMENTS,
         p1_recording.WITHOUT,
         *p2_eha.EXPERIMENTS,
         *p2_switching.EXPERIMENTS,

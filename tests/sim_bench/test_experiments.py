@@ -32,7 +32,8 @@ from servohil.sim_bench.experiments.page import page
 from servohil.sim_bench.experiments.reproduce import reproduce, run_case
 
 DT = 0.01
-P1 = (*(f"p1-table{k}" for k in range(1, 10)), "p1-recording")
+LEAKS = [f"p1-leakage-{noise}{scale}" for noise in ("constant", "varying") for scale in ("", "-mpa", "-scaled")]
+P1 = (*(f"p1-table{k}" for k in range(1, 10)), *LEAKS, "p1-recording")
 P2 = ("p2-table2", "p2-table3", "p2-strong", "p2-switching", "p2-innovation")
 P3 = (
     "p3-intsmc-arm", "p3-afintsc-table3", "p3-afintsc-table4", "p3-afintsc-table5", "p3-afintsc-mu-arm",
