@@ -93,17 +93,15 @@ FIELDS: Final[tuple[tuple[str, str, str, str], ...]] = (
     ("verdict_size", "<f8", "1", "size of that change, in the unit of its place in CHANGES"),
     ("verdict_std", "<f8", "1", "its standard deviation"),
     ("verdict_confidence", "<f8", "1", "its posterior probability among all single changes"),
-    (
-        "leak_internal_m3ps",
-        "<f8",
-        "m3/s",
-        "leak flow above the baseline, from A to B, size at the mean pressures of now",
-    ),
-    ("leak_external_a_m3ps", "<f8", "m3/s", "leak flow above the baseline, out of chamber A"),
-    ("leak_external_b_m3ps", "<f8", "m3/s", "leak flow above the baseline, out of chamber B"),
-    ("leak_internal_std_m3ps", "<f8", "m3/s", "its standard deviation"),
-    ("leak_external_a_std_m3ps", "<f8", "m3/s", "its standard deviation"),
-    ("leak_external_b_std_m3ps", "<f8", "m3/s", "its standard deviation"),
+    ("leak_internal", "<f8", "m3/(s Pa)", "internal leak above the baseline"),
+    ("leak_external_a", "<f8", "m3/(s Pa)", "external leak of chamber A above the baseline"),
+    ("leak_external_b", "<f8", "m3/(s Pa)", "external leak of chamber B above the baseline"),
+    ("leak_internal_std", "<f8", "m3/(s Pa)", "its standard deviation"),
+    ("leak_external_a_std", "<f8", "m3/(s Pa)", "its standard deviation"),
+    ("leak_external_b_std", "<f8", "m3/(s Pa)", "its standard deviation"),
+    ("leak_internal_m3ps", "<f8", "m3/s", "its flow at the pressure difference of now, averaged over 3 s"),
+    ("leak_external_a_m3ps", "<f8", "m3/s", "its flow at the pressure of now, averaged over 3 s"),
+    ("leak_external_b_m3ps", "<f8", "m3/s", "its flow at the pressure of now, averaged over 3 s"),
 )
 
 SNAPSHOT_VERSION: Final = 4
@@ -114,7 +112,7 @@ class SnapshotRecord:
     """One Snapshot in memory of its own: `row` by field name, and views of its parts for fast writing.
 
     `integers` (21,), then `measured` (6,), `estimate` (4,), `deviation` (4,), `rest`, `noise` (14,), `law` (1,),
-    `diagnosis_integers` (7,) and `diagnosis` (11,), all in the order of FIELDS.
+    `diagnosis_integers` (7,) and `diagnosis` (14,), all in the order of FIELDS.
     """
 
     def __init__(self) -> None:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from servohil.estimators.leakage import layout as at
 from servohil.estimators.leakage.changes import CHANGES, N_CHANGES, N_LEAKS, NAMES
 from servohil.estimators.leakage.corrected import change_table
+from servohil.estimators.leakage.diagnosis_step import SIGNATURE as STEP
 from servohil.estimators.leakage.diagnosis_step import step
 from servohil.estimators.leakage.model_update import restart, start
 from servohil.estimators.leakage.onsets import MAX_BLOCKS
@@ -134,8 +135,9 @@ def _report(state: Vector, threshold: float, integers: NDArray[np.int64], number
     numbers[3] = state[at.VERDICT_STD]
     numbers[4] = state[at.VERDICT_CONFIDENCE]
     for j in range(N_LEAKS):
-        numbers[5 + j] = state[at.FLOW + j]
-        numbers[5 + N_LEAKS + j] = state[at.FLOW_STD + j]
+        numbers[5 + j] = state[at.COEFFICIENT + j]
+        numbers[5 + N_LEAKS + j] = state[at.COEFFICIENT_STD + j]
+        numbers[5 + 2 * N_LEAKS + j] = state[at.FLOW + j]
 
 
 class Diagnosis:
@@ -178,7 +180,9 @@ class Diagnosis:
         self._table = change_table(model.p)
         self._work = np.zeros(at.WORK)
         self._settings = settings.vector(model.dt)
-        self._signature_step = model.specialise(advance_signatures, SIGNATURE)
+        self._step = model.specialise(
+            step, STEP, twin_step=self.twin._step, signature_step=model.specialise(advance_signatures, SIGNATURE)
+        )
         start(self.state, self._settings)
 
     @staticmethod
@@ -194,9 +198,9 @@ class Diagnosis:
     def step(self, u: Vector, y: Vector, judging: bool) -> int:
         """One cycle; see `diagnosis_step.step`. Returns the status of the twin."""
         return int(
-            step(
-                self.state, self._work, self._settings, self._table, self.twin.arena, self.twin._work, self._p, u, y,
-                judging, self.twin._step, self._signature_step,
+            self._step(
+                self.state, self._work, self._settings, self.twin.arena, self.twin._work, self._p, u, y, self._table,
+                judging,
             )
         )  # fmt: skip
 
@@ -226,13 +230,14 @@ class Diagnosis:
         return None if found < 0 else (NAMES[found] if found < N_CHANGES else "unknown")
 
     def report(self, integers: NDArray[np.int64], numbers: Vector) -> None:
-        """Fill integers (7,) and numbers (11,): mode, suspect, changes that are not excluded (bits), verdict, count of
+        """Fill integers (7,) and numbers (14,): mode, suspect, changes that are not excluded (bits), verdict, count of
         verdicts, cycles since the verdict's onset, largest leak; statistic, threshold, size of the verdict in units
-        of its change, its standard deviation, its confidence, flows of the three leaks m3/s, their deviations."""
+        of its change, its standard deviation, its confidence; of the three leaks above the baseline the coefficients
+        m3/(s Pa), their standard deviations and the flows m3/s at the mean pressure difference of now."""
         _report(self.state, float(self._settings[at.THRESHOLD]), integers, numbers)
 
     @property
-    def flows(self) -> Mapping[str, tuple[float, float]]:
-        """Each leak above the baseline: flow and standard deviation, m3/s, at the mean pressure difference of now."""
-        flow, std = self.state[at.FLOW :], self.state[at.FLOW_STD :]
-        return {NAMES[j]: (float(flow[j]), float(std[j])) for j in range(N_LEAKS)}
+    def leaks(self) -> Mapping[str, tuple[float, float]]:
+        """Each leak above the baseline: coefficient and standard deviation, m3/(s Pa)."""
+        size, std = self.state[at.COEFFICIENT :], self.state[at.COEFFICIENT_STD :]
+        return {NAMES[j]: (float(size[j]), float(std[j])) for j in range(N_LEAKS)}

@@ -28,26 +28,28 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 C = at.C
 
-_VECTOR: Final = types.float64[::1]
-SIGNATURE_TYPE: Final = types.FunctionType(types.int64(*[_VECTOR] * 6, types.float64[:, ::1]))
+SIGNATURE: Final = f"i8({'f8[::1], ' * 8}f8[:, ::1], b1)"
+STEP_TYPE: Final = types.FunctionType(types.int64(*[types.float64[::1]] * 8, types.float64[:, ::1], types.boolean))
+
+# `Model.specialise` compiles `step` with the twin's step and `advance_signatures` of the same model in place of these.
+twin_step: Any = None
+signature_step: Any = None
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
 def step(
-    arena: Vector, work: Vector, settings: Vector, table: Matrix, twin: Vector, twin_work: Vector, p: Vector, u: Vector,
-    y: Vector, judging: bool, twin_step: Any, signature_step: Any,
+    arena: Vector, work: Vector, settings: Vector, twin: Vector, twin_work: Vector, p: Vector, u: Vector, y: Vector,
+    table: Matrix, judging: bool,
 ) -> int:  # fmt: skip
     """One cycle; returns the status of the twin's step.
 
     Args:
         arena, work, settings: see `layout`.
-        table: of `corrected.change_table`.
         twin, twin_work: arena and work of the filter.
         p: (14,) configured parameters.
         u: (3,) valve V, supply Pa, tank Pa.
         y: (3,) position m, pressures A and B MPa; NaN = missing.
-        judging: whether a law moves or holds the piston; what is seen otherwise is not used.
-        twin_step, signature_step: compiled for the model.
+        table: of `corrected.change_table`.
+        judging: whether a law moves the piston; what is seen otherwise is not used.
     """
     effective_p = vector_at(work, at.W_PU, N_PARAMETERS)
     effective_u = vector_at(work, at.W_PU + N_PARAMETERS, N_U)

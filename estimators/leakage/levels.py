@@ -45,8 +45,9 @@ def update_levels(arena: Vector, settings: Vector, p: Vector, x: Vector) -> None
         per_unit = LEAK_UNIT * arena[at.DIFFERENCE_PA + j]
         above = arena[at.KNOWN + j] + arena[at.THETA + j] - arena[at.BASELINE + j]
         deviation = np.sqrt(max(arena[at.COVARIANCE + j * C + j], 0.0))
+        arena[at.COEFFICIENT + j] = above * LEAK_UNIT
+        arena[at.COEFFICIENT_STD + j] = deviation * LEAK_UNIT
         arena[at.FLOW + j] = above * per_unit
-        arena[at.FLOW_STD + j] = deviation * per_unit
         if arena[at.MODE] < at.WATCHING:
             continue
         if above > SIGNIFICANT * deviation and arena[at.FLOW + j] > settings[at.WARN]:
@@ -67,9 +68,9 @@ def update_levels(arena: Vector, settings: Vector, p: Vector, x: Vector) -> None
     if highest > NONE and arena[at.LEVEL] == NONE and arena[at.LATCHED] == 0.0:
         named_now = arena[at.VERDICT] == arena[at.LEAK]
         arena[at.LEAK_SINCE] = arena[at.VERDICT_ONSET] if named_now else arena[at.CYCLES]
-    arena[at.LEVEL] = highest
-    if highest == ALARM:
+    if highest == ALARM and arena[at.LEVEL] < ALARM:  # by its edge: what was acknowledged ends with its cause
         arena[at.LATCHED] = 1.0
+    arena[at.LEVEL] = highest
     if highest == NONE and arena[at.LATCHED] == 0.0:
         arena[at.LEAK] = -1.0
         arena[at.LEAK_SINCE] = -1.0

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from servohil.estimators.arena import arena_offsets
 from servohil.estimators.integrate import STAGES
-from servohil.estimators.leakage.changes import INPUT, N_CHANGES, PARAMETER
+from servohil.estimators.leakage.changes import INPUT, N_CHANGES, OUTPUT, PARAMETER
 from servohil.estimators.leakage.corrected import MOVES, PLACE, UNIT, WHEN, sharing
 from servohil.estimators.linear_algebra.views import matrix_at, vector_at
 
@@ -64,27 +64,26 @@ def advance_signatures(
     for i in range(N_U):
         u[i] = pu[N_PARAMETERS + i]
     base = vector_at(points, N_CHANGES * N, N)
-    for i in range(N):
-        base[i] = last_x[i]
-    integrate(f, N, DT, SUBSTEPS, base, u, p, stages)
-    for j in range(N_CHANGES):
+    for j in range(N_CHANGES, -1, -1):  # the model as it is comes first, the others are compared with it
+        changed = j < N_CHANGES
         moved = vector_at(points, j * N, N)
+        moves = int(table[j, MOVES]) if changed else OUTPUT
+        place = int(table[j, PLACE]) if changed else 0
+        amount = table[j, UNIT] * sharing(table[j, WHEN], last_x[1], pu[N_PARAMETERS]) if changed else 0.0
         for i in range(N):
-            moved[i] = last_x[i] + signatures[j * N + i]
-        place = int(table[j, PLACE])
-        amount = table[j, UNIT] * sharing(table[j, WHEN], last_x[1], pu[N_PARAMETERS])
-        if table[j, MOVES] == PARAMETER:
+            moved[i] = last_x[i] + (signatures[j * N + i] if changed else 0.0)
+        if moves == PARAMETER:
             p[place] += amount
-            integrate(f, N, DT, SUBSTEPS, moved, u, p, stages)
-            p[place] = pu[place]
-        elif table[j, MOVES] == INPUT:
+        elif moves == INPUT:
             u[place] += amount
-            integrate(f, N, DT, SUBSTEPS, moved, u, p, stages)
+        integrate(f, N, DT, SUBSTEPS, moved, u, p, stages)
+        if moves == PARAMETER:
+            p[place] = pu[place]
+        elif moves == INPUT:
             u[place] = pu[N_PARAMETERS + place]
-        else:
-            integrate(f, N, DT, SUBSTEPS, moved, u, p, stages)
-        for i in range(N):
-            signatures[j * N + i] = moved[i] - base[i]
+        if changed:
+            for i in range(N):
+                signatures[j * N + i] = moved[i] - base[i]
     # Whitening: S = L L', over the channels present.
     l00 = l10 = l11 = l20 = l21 = l22 = 0.0
     present = 0

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from servohil.control.laws.intsmc import intsmc_step
 from servohil.estimators.leakage import layout as at
-from servohil.estimators.leakage.diagnosis_step import step
 from servohil.estimators.models import cylinder
 from servohil.estimators.models.cylinder import BULK, CS, FRICTION
 from servohil.sim_bench.plants import cylinder as truth
@@ -48,8 +47,8 @@ def _advance(x: Vector, u: Vector, p: Vector, dt: float, k: Matrix) -> None:
 def run(
     steps: int, clock: Vector, x: Vector, command: Vector, law_state: Vector, gains: Vector, configured: Vector,
     plant: Vector, drifts: Matrix, fault: Vector, motion: Vector, noise: Vector, rng: Any, filter_step: Any,
-    filter_arena: Vector, filter_work: Vector, arena: Vector, work: Vector, settings: Vector, table: Matrix,
-    twin: Vector, twin_work: Vector, signature_step: Any, log: Matrix,
+    filter_arena: Vector, filter_work: Vector, diagnosis_step: Any, arena: Vector, work: Vector, settings: Vector,
+    twin: Vector, twin_work: Vector, table: Matrix, log: Matrix,
 ) -> None:  # fmt: skip
     """Go on for so many steps of 1 ms.
 
@@ -69,7 +68,7 @@ def run(
             at [8], null V at [9], tank Pa at [10].
         rng: np.random.Generator.
         filter_step, filter_arena, filter_work: of the control filter.
-        arena .. signature_step: of the diagnosis.
+        diagnosis_step .. table: of the diagnosis.
         log: (rows, 3 or more) filled every steps // rows with ratio, mode, verdict.
     """
     dt = 1e-3
@@ -134,9 +133,7 @@ def run(
         measured_u[1] = _quantised(supply + noise[5] * rng.standard_normal(), 1e3)
         measured_u[2] = _quantised(noise[10] + noise[6] * rng.standard_normal(), 1e3)
         filter_step(filter_arena, filter_work, configured, measured_u, y)
-        step(
-            arena, work, settings, table, twin, twin_work, configured, measured_u, y, True, filter_step, signature_step
-        )
+        diagnosis_step(arena, work, settings, twin, twin_work, configured, measured_u, y, table, True)
         t = now * dt
         angle = motion[2] * t
         blend = min(1.0, t / 2.0)

@@ -179,12 +179,6 @@ def test_parameter_change_is_applied_at_the_edge_and_shown(bench: Bench) -> None
     assert (refused["command_result"], refused["param_version"]) == (Result.OUT_OF_RANGE, 1)
 
 
-def driving_pressure_pa(bench: Bench, kind: str) -> float:
-    """The true pressure difference behind a leak, over one period of the motion."""
-    pressures = bench.node.plant.state[2:]
-    return float({"internal": abs(pressures[0] - pressures[1]), "external_a": pressures[0]}.get(kind, pressures[1]))
-
-
 @pytest.mark.parametrize("kind", ["internal", "external_a", "external_b"])
 def test_a_leak_is_named_and_sized_within_a_second_and_acknowledged(rig: Rig, kind: str) -> None:
     bench = Bench(rig, LeakPlan(3.0, 1e-11, kind))
@@ -195,10 +189,10 @@ def test_a_leak_is_named_and_sized_within_a_second_and_acknowledged(rig: Rig, ki
     kinds = ["internal", "external_a", "external_b"]
     assert snapshot["leak_alarm"] == 2
     assert snapshot["verdict"] == snapshot["leak_kind"] == kinds.index(kind)
-    flow = 1e-11 * driving_pressure_pa(bench, kind)
-    assert snapshot[f"leak_{kind}_m3ps"] == pytest.approx(flow, rel=0.15)
+    assert snapshot[f"leak_{kind}"] == pytest.approx(1e-11, rel=0.2)
     for other in kinds:
-        assert other == kind or abs(snapshot[f"leak_{other}_m3ps"]) < 0.1 * flow
+        assert other == kind or abs(snapshot[f"leak_{other}"]) < 1e-12
+    assert 1e5 < snapshot[f"leak_{kind}_m3ps"] / snapshot[f"leak_{kind}"] < 14e6
     assert snapshot["leak_channel"] in (1, 2, 3)
     assert snapshot["leak_since_ns"] > 0
     assert bench.step(Command.ACKNOWLEDGE, command_seq=3)["command_result"] == Result.ACCEPTED
@@ -206,7 +200,7 @@ def test_a_leak_is_named_and_sized_within_a_second_and_acknowledged(rig: Rig, ki
     bench.node.plant.set_leak(kind, 0.0)
     closed = bench.run(1500)
     assert closed["leak_alarm"] == 2  # latched
-    assert closed[f"leak_{kind}_m3ps"] < 0.1 * flow
+    assert abs(closed[f"leak_{kind}"]) < 1e-12
     assert bench.step(Command.ACKNOWLEDGE, command_seq=4)["leak_alarm"] == 0
     assert bench.cycle.snapshot["leak_since_ns"] == -1
 
