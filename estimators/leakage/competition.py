@@ -24,6 +24,7 @@ Matrix = NDArray[np.float64]
 
 C: Final = N_CHANGES
 WORK_SIZE: Final = 4 * C * C
+LINEAR: Final = 1.5  # times its size that a large leak may seem to shrink by: the signatures are straight lines
 CLOSED: Final = 3.0  # standard deviations that a leak may seem to be below nothing
 
 
@@ -170,7 +171,7 @@ def winner(w_diagonal: Vector, w_right: Vector, step_std: Vector, amounts: Vecto
     best = C
     for j in range(C):
         score = evidence(j, w_diagonal, w_right, step_std[j])
-        if j < N_LEAKS and w_right[j] < -CLOSED * np.sqrt(w_diagonal[j]) - amounts[j] * w_diagonal[j]:
+        if j < N_LEAKS and w_right[j] < -(CLOSED / np.sqrt(w_diagonal[j]) + LINEAR * amounts[j]) * w_diagonal[j]:
             score = min(score, -0.5 * np.log(1.0 + step_std[j] ** 2 * w_diagonal[j]))
         confidence[j] = score
         if score > highest:

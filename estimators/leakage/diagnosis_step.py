@@ -103,9 +103,9 @@ def _end_block(arena: Vector, work: Vector, settings: Vector, twin: Vector, bloc
     if arena[at.MODE] == at.LEARNING:
         learn(arena, work, settings, twin)
     elif arena[at.MODE] == at.CALIBRATING:
-        keep(arena, work, settings)
+        keep(arena, work, settings, twin)
         calibrate(arena, settings)
     elif arena[at.MODE] == at.WATCHING:
-        keep(arena, work, settings)
+        keep(arena, work, settings, twin)
     else:
         judge(arena, work, settings, twin)

@@ -29,6 +29,9 @@ C = at.C
 # leaves of a large change.
 CHANCE: Final = 60.0
 SHARE: Final = 0.05
+FIRST_TRY_S: Final = 1.0
+REFINE_S: Final = 1.0
+UNCERTAIN: Final = 0.25  # of the size of a large change, by straight lines
 NOT_EXCLUDED: Final = 0.01  # a hypothesis with more than this probability is still in the running
 
 
@@ -37,7 +40,8 @@ def judge(arena: Vector, work: Vector, settings: Vector, twin: Vector) -> None:
     """Take the block in, weigh the hypotheses, and conclude where that can be done."""
     arena[at.LAG_S] += arena[at.BLOCK_CYCLES] * settings[at.DT_S]
     elapsed = arena[at.CYCLES] - arena[at.DETECTED]
-    if elapsed <= settings[at.GUARD_STEPS]:
+    judged = arena[at.CYCLES] - arena[at.EPISODE_FROM]
+    if judged <= 0.0:
         return
     for i in range(INFORMATION_SIZE):
         arena[at.EPISODE + i] += arena[at.BLOCK + i]
@@ -45,10 +49,15 @@ def judge(arena: Vector, work: Vector, settings: Vector, twin: Vector) -> None:
     if best < 0 or elapsed < settings[at.JUDGE_STEPS]:
         return
     sure = arena[at.CONFIDENCE + best] >= settings[at.CONFIDENT]
-    if sure and arena[at.REST] < CHANCE + SHARE * arena[at.RATIO]:
+    fits = arena[at.REST] < CHANCE + SHARE * arena[at.RATIO]
+    if sure and fits:
         _conclude(arena, work, settings, twin, best)
     elif elapsed >= settings[at.GIVE_UP_STEPS]:
         _conclude(arena, work, settings, twin, -1)
+    elif not fits and judged * settings[at.DT_S] > FIRST_TRY_S and judged > elapsed - judged:
+        # Perhaps it changed once more on the way: look at what follows alone, for as long as it took up to now.
+        _clear_episode(arena)
+        arena[at.EPISODE_FROM] = arena[at.CYCLES]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -110,8 +119,53 @@ def _conclude(arena: Vector, work: Vector, settings: Vector, twin: Vector, verdi
         arena[at.VERDICTS] += 1.0
         if 0 <= verdict < N_LEAKS:
             arena[at.NAMED + verdict] = 1.0
+        if verdict >= 0:
+            arena[at.WIDENED] = (UNCERTAIN * arena[at.VERDICT_SIZE]) ** 2
+            covariance[verdict, verdict] += arena[at.WIDENED]
+            arena[at.REFINE_CYCLES] = round(REFINE_S / settings[at.DT_S])
+            _clear_episode(arena)
     arena[at.UNCLEAR] = 0.0
     arena[at.LAG_S] = 0.0
     arena[at.SCAN_AGE] = -1.0
     arena[at.RATIO] = 0.0
     arena[at.MODE] = at.WATCHING
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def refine(arena: Vector, work: Vector, settings: Vector, twin: Vector) -> None:
+    """Some time after a verdict: from the corrected model the size of a large change is found again, and that is no
+    change of its own. Unless there is one beside it: then the next episode begins."""
+    for i in range(INFORMATION_SIZE):
+        arena[at.EPISODE + i] += arena[at.BLOCK + i]
+    arena[at.REFINE_CYCLES] -= arena[at.BLOCK_CYCLES]
+    if arena[at.REFINE_CYCLES] > 0.0:
+        return
+    arena[at.REFINE_CYCLES] = 0.0
+    covariance = matrix_at(arena, at.COVARIANCE, C, C)
+    if _weigh(arena, work, settings) >= 0:
+        diagonal, right = vector_at(work, at.W_DIAGONAL, C), vector_at(work, at.W_RIGHT, C)
+        for j in range(C):
+            if likelihood_ratio(j, diagonal, right) > settings[at.THRESHOLD]:
+                last = int(arena[at.VERDICT])
+                covariance[last, last] -= arena[at.WIDENED]
+                arena[at.MODE] = at.PENDING
+                arena[at.ONSET] = arena[at.CYCLES]
+                arena[at.DETECTED] = arena[at.CYCLES]
+                arena[at.EPISODE_FROM] = arena[at.CYCLES]
+                _clear_episode(arena)
+                return
+    drift(covariance, vector_at(settings, at.DRIFT, C), arena[at.LAG_S])
+    absorb(
+        vector_at(arena, at.EPISODE, INFORMATION_SIZE), vector_at(arena, at.THETA, C), covariance,
+        vector_at(work, at.W_SOLVE, WORK_SIZE),
+    )  # fmt: skip
+    fold(arena, twin)
+    arena[at.LAG_S] = 0.0
+    arena[at.RATIO] = 0.0
+    arena[at.UNCLEAR] = 0.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _clear_episode(arena: Vector) -> None:
+    for i in range(at.EPISODE, at.EPISODE + INFORMATION_SIZE):
+        arena[i] = 0.0

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from servohil.estimators.leakage import layout as at
 from servohil.estimators.leakage.baseline import absorb, drift
 from servohil.estimators.leakage.competition import WORK_SIZE, likelihood_ratio, lower_cholesky, marginal
+from servohil.estimators.leakage.episode import refine
 from servohil.estimators.leakage.information import CYCLES, INFORMATION_SIZE, shift
 from servohil.estimators.leakage.onsets import ONSETS_SIZE, block_at, clear, push
 from servohil.estimators.linear_algebra.views import matrix_at, vector_at
@@ -16,12 +17,15 @@ C = at.C
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def keep(arena: Vector, work: Vector, settings: Vector) -> None:
+def keep(arena: Vector, work: Vector, settings: Vector, twin: Vector) -> None:
     """Take a full block in: what becomes too old for an onset goes into the baseline; the next scan begins."""
     covariance = matrix_at(arena, at.COVARIANCE, C, C)
     rates = vector_at(settings, at.DRIFT, C)
     leaving = vector_at(work, at.W_RECORD, INFORMATION_SIZE)
     arena[at.LAG_S] += arena[at.BLOCK_CYCLES] * settings[at.DT_S]
+    if arena[at.REFINE_CYCLES] > 0.0:
+        refine(arena, work, settings, twin)
+        return
     if push(vector_at(arena, at.ONSETS, ONSETS_SIZE), vector_at(arena, at.BLOCK, INFORMATION_SIZE), leaving):
         past = leaving[CYCLES] * settings[at.DT_S]
         drift(covariance, rates, past)
@@ -95,5 +99,6 @@ def _something_changed(arena: Vector, work: Vector, settings: Vector) -> None:
     clear(onsets)
     arena[at.ONSET] = arena[at.CYCLES] - younger
     arena[at.DETECTED] = arena[at.CYCLES]
+    arena[at.EPISODE_FROM] = arena[at.CYCLES] + settings[at.GUARD_STEPS]
     arena[at.LAG_S] = younger * settings[at.DT_S]
     arena[at.MODE] = at.PENDING
