@@ -100,6 +100,10 @@ def _conclude(arena: Vector, work: Vector, settings: Vector, twin: Vector, verdi
     it, so all may have changed."""
     covariance = matrix_at(arena, at.COVARIANCE, C, C)
     drift(covariance, vector_at(settings, at.DRIFT, C), arena[at.LAG_S])
+    # What straight lines leave over must not move what is known well.
+    doubt = max(1.0, arena[at.REST] / C)
+    for i in range(at.EPISODE, at.EPISODE + INFORMATION_SIZE):
+        arena[i] /= doubt
     for j in range(C):
         if verdict == j or verdict < 0:
             covariance[j, j] += settings[at.STEP + j] ** 2
@@ -107,7 +111,7 @@ def _conclude(arena: Vector, work: Vector, settings: Vector, twin: Vector, verdi
         vector_at(arena, at.EPISODE, INFORMATION_SIZE), vector_at(arena, at.THETA, C), covariance,
         vector_at(work, at.W_SOLVE, WORK_SIZE),
     )  # fmt: skip
-    fold(arena, twin)
+    fold(arena, settings, twin)
     clear(vector_at(arena, at.ONSETS, ONSETS_SIZE))
     if verdict != C:
         arena[at.VERDICT] = verdict if verdict >= 0 else C
@@ -159,7 +163,7 @@ def refine(arena: Vector, work: Vector, settings: Vector, twin: Vector) -> None:
         vector_at(arena, at.EPISODE, INFORMATION_SIZE), vector_at(arena, at.THETA, C), covariance,
         vector_at(work, at.W_SOLVE, WORK_SIZE),
     )  # fmt: skip
-    fold(arena, twin)
+    fold(arena, settings, twin)
     arena[at.LAG_S] = 0.0
     arena[at.RATIO] = 0.0
     arena[at.UNCLEAR] = 0.0

@@ -43,16 +43,16 @@ def learn(arena: Vector, work: Vector, settings: Vector, twin: Vector) -> None:
     after = arena[at.LEARNT] / settings[at.LEARN_STEPS]
     for share in LEARN_AGAIN:
         if before < share <= after:
-            fold(arena, twin)
+            fold(arena, settings, twin)
             forget(arena, settings)
     for share in CORRECT:
         if before < share <= after:
-            fold(arena, twin)
+            fold(arena, settings, twin)
     if before >= SCALE_FROM:
         arena[at.SQUARES_SEEN] += block[SQUARES]
         arena[at.CHANNELS_SEEN] += block[CHANNELS]
     if after >= LEARN_UNTIL:
-        fold(arena, twin)
+        fold(arena, settings, twin)
         if arena[at.CHANNELS_SEEN] > 0.0:
             _rescale(arena, max(arena[at.SQUARES_SEEN] / arena[at.CHANNELS_SEEN], LEAST_SCALE))
         arena[at.LAG_S] = 0.0

@@ -49,9 +49,10 @@ def restart(arena: Vector) -> None:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def fold(arena: Vector, twin: Vector) -> None:
-    """Put theta into the model, and the estimate of the filter (arena `twin`) where it would have been with it: by the
-    signatures that is x + E theta, so that nothing of the change is left in the innovations to come (Friedland 1969).
+def fold(arena: Vector, settings: Vector, twin: Vector) -> None:
+    """Put theta into the model, and the estimate of the filter (arena `twin`) where it would have been with it: by its
+    signatures that is x + E theta (Friedland 1969). The signatures are straight lines: for the filter's memory what is
+    left of a large change is still in the innovations, and they do not count.
     """
     x = vector_at(twin, arena_offsets(N, M)[0], N)
     for j in range(C):
@@ -60,3 +61,4 @@ def fold(arena: Vector, twin: Vector) -> None:
         arena[at.THETA + j] = 0.0
         for i in range(N):
             x[i] += arena[at.SIGNATURES + j * N + i] * amount
+    arena[at.SETTLED] = settings[at.SETTLE_STEPS] - settings[at.GUARD_STEPS]

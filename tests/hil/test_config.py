@@ -200,7 +200,7 @@ def test_one_mistake_is_one_line(tmp_path: Path, change: tuple[str, str], line: 
         (with_step("[]"), ["reference.levels_m = []: must not be empty"]),
         (with_step(ramp="0.4"), ["reference.ramp_s = 0.4: peak speed 1.09375 m/s; limits.speed_max_mps is 1.0"]),
         (with_step(dwell="0.9"), ["reference.ramp_s = 1.0: must be at most dwell_s = 0.9, which contains it"]),
-        XX 'leak = {"threshold_sigma": 8.0, "cusum_drift": 0.5, "cusum_thre ...: unknown key; did you mean leakage?']),
+        (edited(("[recording]", "[record]")), ["recording: missing; allowed: a table [recording]", 'record = {"directory": "runs", "rotate_bytes": 256000000}: unknown key; did you mean recording?']),
         (edited(('position_min_m = "20 mm"', "position_min_m = 0.59")), ['limits.position_max_m = "580 mm": must be above position_min_m = 0.59', "reference.amplitude_m = 0.15: offset_m = 0.3 makes it 0.15..0.45 m; limits are 0.59..0.58 m"]),
         (edited(('pressure_min_pa = "-2 bar"', 'pressure_min_pa = "300 bar"')), ['limits.pressure_max_pa = "210 bar": must be above pressure_min_pa = 30000000.0', 'limits.supply_min_pa = "100 bar": must be within pressure_min_pa = 30000000.0 and pressure_max_pa = 21000000.0']),
         (edited(('"PressureAB.pressure_b"', '"PressureAB.pressure_a"')), ['signals.pressure_a = "PressureAB.pressure_a": used more than once; allowed: a signal of its own', 'signals.pressure_b = "PressureAB.pressure_a": used more than once; allowed: a signal of its own']),
