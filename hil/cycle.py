@@ -40,8 +40,8 @@ FILTER_TROUBLE: Final = GATED | REPAIRED | NOT_FINITE_INPUT | DIVERGED
 # int64 words of the cycle's own state.
 (
     DEVICE, GOAL, FAULT, RAMP_LEFT, FIRST_ACTIVE, STARTED, OVERRUNS, OVERRUNS_IN_A_ROW, REJECTED, REPAIRS,
-    COMMAND_SEQ, COMMAND_RESULT, PARAM_VERSION, LEAK_SINCE, OTHER_COMMANDERS, FAULT_SEEN, N_WORDS,
-) = range(17)  # fmt: skip
+    COMMAND_SEQ, COMMAND_RESULT, PARAM_VERSION, LEAK_SINCE, OTHER_COMMANDERS, N_WORDS,
+) = range(16)  # fmt: skip
 
 
 class Cycle:
@@ -185,7 +185,7 @@ class Cycle:
             words[STARTED] = 1
             return 0
         saturated = abs(u[0]) >= self._limits.command_max_v - self.rig.control.dead_band_v
-        estimation.hold(saturated or words[FAULT_SEEN] != 0 or estimation.diagnosis.pending)
+        estimation.hold(saturated or words[LEAK_SINCE] >= 0 or estimation.diagnosis.pending)
         estimation.predict(u, skipped)
         status = estimation.step(u, y, moving)
         words[REPAIRS] += (status & FILTER_TROUBLE) != 0
@@ -204,9 +204,6 @@ class Cycle:
         if code == Command.ACKNOWLEDGE:
             self.monitor.acknowledge()
             self._estimation.diagnosis.acknowledge()
-            if self._words[FAULT_SEEN]:
-                self._words[FAULT_SEEN] = 0
-                self._estimation.forget_noise()
             return Command.NONE, Result.ACCEPTED
         if self.listen_only and code in (Command.ENABLE, Command.HOLD):
             return Command.NONE, Result.REFUSED_STATE  # nothing is sent: it must not look as if it were
@@ -250,15 +247,11 @@ class Cycle:
             self._estimation.pressure_residuals(residuals, variances)
         else:
             residuals[:] = nan
-        beyond = self.monitor.step(residuals, variances, self._moving() and not diagnosis.learning)
+        self.monitor.step(residuals, variances, self._moving() and not diagnosis.learning)
         alarm = diagnosis.alarm
-        if (beyond or alarm) and not words[FAULT_SEEN]:
-            words[FAULT_SEEN] = 1
+        if (alarm > 0) != (words[LEAK_SINCE] >= 0):
+            words[LEAK_SINCE] = t_ns if alarm else -1
             self._estimation.forget_noise()
-        if not alarm:
-            words[LEAK_SINCE] = -1
-        elif words[LEAK_SINCE] < 0:
-            words[LEAK_SINCE] = t_ns
         return alarm == LEAK_ALARM_LEVEL
 
     def _enter(self, cycle: int) -> None:
@@ -272,14 +265,8 @@ class Cycle:
                 words[FIRST_ACTIVE] = cycle
 
     def _gate_state(self) -> GateState:
-        words = self._words
-        return GateState(
-            int(words[DEVICE]),
-            int(words[GOAL]),
-            int(words[FAULT]),
-            int(words[RAMP_LEFT]),
-            float(self._command_v[0]),
-        )
+        device, goal, fault, ramp_left = self._words[:FIRST_ACTIVE].tolist()
+        return GateState(device, goal, fault, ramp_left, float(self._command_v[0]))
 
     def _keep(self, state: GateState) -> None:
         words = self._words
@@ -290,7 +277,7 @@ class Cycle:
         monitor, tracking, record = self.monitor, self._tracking, self._record
         (
             device, _, fault, _, first_active, _, overruns, _, rejected, repairs,
-            command_seq, command_result, param_version, leak_since, _, _,
+            command_seq, command_result, param_version, leak_since, _,
         ) = self._words.tolist()  # fmt: skip
         active_t_ns = (inputs.cycle - first_active) * self.period_ns if first_active >= 0 else -1
         record.integers[:] = (

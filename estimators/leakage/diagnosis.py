@@ -215,8 +215,8 @@ class Diagnosis:
 
     @property
     def pending(self) -> bool:
-        """Whether something has changed and is not explained yet."""
-        return bool(self.state[at.MODE] == at.PENDING)
+        """Whether something has changed and is not explained, or not sized, yet."""
+        return bool(self.state[at.MODE] == at.PENDING or self.state[at.REFINE_CYCLES] > 0.0)
 
     @property
     def learning(self) -> bool:

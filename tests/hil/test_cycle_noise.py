@@ -54,6 +54,7 @@ def test_an_alarm_returns_to_the_configured_noise_and_its_acknowledgement_learns
     np.testing.assert_allclose(measurement_std(bench), CONFIGURED, rtol=1e-12)  # from the alarm on, and held
     bench.node.plant.set_leak("internal", 0.0)
     bench.step(Command.ACKNOWLEDGE)
+    bench.run(2000)  # until the diagnosis has seen that it has closed
     bench.run(2500)
     assert bench.cycle.snapshot["leak_alarm"] == 0
     assert measurement_std(bench)[0] == pytest.approx(TRUE[0], rel=0.25)
