@@ -12,7 +12,7 @@ from numba import njit, types
 from numpy.typing import NDArray
 
 from servohil.estimators.arena import arena_offsets
-from servohil.estimators.health import DIVERGED
+from servohil.estimators.health import DIVERGED, NOT_FINITE_INPUT
 from servohil.estimators.leakage import layout as at
 from servohil.estimators.leakage.corrected import correct
 from servohil.estimators.leakage.episode import judge
@@ -65,12 +65,15 @@ def step(
         last_x[i] = x[i]
     correct(table, vector_at(arena, at.KNOWN, C), last_x[1], effective_p, effective_u, effective_y)
     status = int(twin_step(twin, twin_work, effective_p, effective_u, effective_y))
+    arena[at.CYCLES] += 1.0
+    if status & NOT_FINITE_INPUT:
+        arena[at.LAG_S] += settings[at.DT_S]
+        return status
     channels = signature_step(
         vector_at(arena, at.SIGNATURES, C * N), white, vector_at(work, at.W_SIGNATURE, SCRATCH_SIZE), twin, last_x,
         vector_at(work, at.W_PU, N_PARAMETERS + N_U), table,
     )  # fmt: skip
-    arena[at.CYCLES] += 1.0
-    if status & DIVERGED:
+    if status & DIVERGED or not _finite(arena, white):
         restart(arena)
         return status
     if not judging:
@@ -109,3 +112,14 @@ def _end_block(arena: Vector, work: Vector, settings: Vector, twin: Vector, bloc
         keep(arena, work, settings, twin)
     else:
         judge(arena, work, settings, twin)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _finite(arena: Vector, white: Vector) -> bool:
+    """Whether signatures and whitened numbers are: a sum is not as soon as one of its terms is not."""
+    total = 0.0
+    for i in range(C * N):
+        total += arena[at.SIGNATURES + i]
+    for i in range(white.shape[0]):
+        total += white[i] * white[i]
+    return bool(np.isfinite(total))

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from servohil.estimators.leakage.information import INFORMATION_SIZE, shift
+from servohil.estimators.leakage.information import INFORMATION_SIZE
 
 Vector = NDArray[np.float64]
 
@@ -69,13 +69,3 @@ def clear(onsets: Vector) -> None:
     """Forget all blocks."""
     for level in range(LEVELS):
         onsets[COUNTS + level] = 0.0
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def shift_all(onsets: Vector, known: Vector) -> None:
-    """`information.shift` of every block."""
-    for age in range(MAX_BLOCKS):
-        start = block_at(onsets, age)
-        if start < 0:
-            return
-        shift(onsets[start : start + INFORMATION_SIZE], known)
