@@ -5,10 +5,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from servohil.hil.diagnosis_words import LEAKS, change_name, leak_text, verdict_text
 from servohil.hil.telemetry.schema import FAULT_STATES, state_name
 
 Event = dict[str, Any]
-_WATCHED: Final = ("state", "leak_alarm", "fault")
+_WATCHED: Final = ("state", "leak_alarm", "fault", "verdicts")
+ALARM: Final = 2  # of leak_alarm
+DIAGNOSED: Final = ("leak", "change")  # codes of events that come from the diagnosis
 
 
 def bit_names(bits: int, names: tuple[str, ...]) -> list[str]:
@@ -17,7 +20,7 @@ def bit_names(bits: int, names: tuple[str, ...]) -> list[str]:
 
 
 class ChangeDetector:
-    """Remembers the last row's state, leak alarm and fault bits."""
+    """Remembers the last row's state, leak alarm, fault bits and count of verdicts."""
 
     def __init__(self, fault_names: tuple[str, ...] = ()) -> None:
         self._fault_names = fault_names
@@ -31,7 +34,9 @@ class ChangeDetector:
             return []
         events = []
         for row in rows:
-            for name, describe in (("fault", self._fault), ("leak_alarm", self._leak), ("state", self._state)):
+            for name, describe in (
+                ("fault", self._fault), ("verdicts", self._change), ("leak_alarm", self._leak), ("state", self._state)
+            ):  # fmt: skip
                 value = int(row[name])
                 if value != last[name] or (name == "state" and not self._seen):
                     event = describe(row, last[name], value)
@@ -46,16 +51,20 @@ class ChangeDetector:
         text = f"{start} -> {state_name(now)}" if start else state_name(now)
         return {"severity": severity, "code": "state", "from": start, "to": state_name(now), "text": text}
 
-    def _leak(self, row: Any, _before: int, now: int) -> Event:
-        since, channel = int(row["leak_since_ns"]), int(row["leak_channel"])
-        where = " and ".join(bit_names(channel, ("pressure A", "pressure B")))
-        text = f"leak alarm, residual of {where}" if now else "leak alarm acknowledged"
+    def _change(self, row: Any, _before: int, _now: int) -> Event:
+        name = change_name(int(row["verdict"]))
+        severity = "warning" if name in LEAKS else "info"
+        return {"severity": severity, "code": "change", "change": name, "text": verdict_text(row)}
+
+    def _leak(self, row: Any, before: int, now: int) -> Event:
+        text = leak_text(row) if now else "no leak alarm any more" if before == ALARM else "no leak warning any more"
         return {
-            "severity": "alarm" if now else "info",
+            "severity": ("info", "warning", "alarm")[now],
             "code": "leak",
             "active": bool(now),
-            "channel": channel,
-            "since_ns": since,
+            "leak": change_name(int(row["leak_kind"])),
+            "channel": int(row["leak_channel"]),
+            "since_ns": int(row["leak_since_ns"]),
             "text": text,
         }
 

@@ -12,7 +12,7 @@ import zenoh
 from servohil.hil.recording.layout import About
 from servohil.hil.recording.writer import RecordingWriter
 from servohil.hil.ring import RingReader, TelemetryCounts
-from servohil.hil.telemetry.events import ChangeDetector
+from servohil.hil.telemetry.events import DIAGNOSED, ChangeDetector
 from servohil.hil.telemetry.intake import Intake
 from servohil.hil.telemetry.publisher import JSON, Publisher, to_json
 from servohil.hil.telemetry.queryables import Desk, Documents
@@ -123,8 +123,11 @@ class Telemetry:
             age = time.monotonic_ns() - monotonic - t_ns if monotonic else -1
             self.publisher.state(samples, unix + t_ns if unix else 0, age, self.intake.lost)
             self._last_row = rows[-1]
-            for event in self._changes.changes(rows):
+            found = self._changes.changes(rows)
+            for event in found:
                 self._event(event)
+            if any(event["code"] in DIAGNOSED for event in found):
+                self.publisher.diagnosis(self._last_row)
         if self.intake.lost > lost:
             text = f"{self.intake.lost - lost} cycles found no room in the ring"
             self._event({"severity": "warning", "code": "gap", "lost": self.intake.lost - lost, "text": text})

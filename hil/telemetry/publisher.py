@@ -8,6 +8,7 @@ import numpy as np
 import zenoh
 from numpy.typing import NDArray
 
+from servohil.hil.diagnosis_words import readable_diagnosis
 from servohil.hil.snapshot import FIELDS
 from servohil.hil.telemetry.encoding import encode_batch
 from servohil.hil.telemetry.schema import state_name
@@ -52,6 +53,7 @@ class Publisher:
             express=False,
         )
         self._snapshot = self._readable("snapshot")
+        self._diagnosis = self._readable("diagnosis")
         self._meta = self._readable("meta")
         self._token = session.liveliness().declare_token(f"{self.root}/alive")
 
@@ -72,7 +74,12 @@ class Publisher:
         self.published += len(samples)
 
     def snapshot(self, row: Any) -> None:
+        """The newest cycle for people: `snapshot`, and what the diagnosis says of it: `diagnosis`."""
         self._snapshot.put(to_json(readable_snapshot(row)))
+        self.diagnosis(row)
+
+    def diagnosis(self, row: Any) -> None:
+        self._diagnosis.put(to_json(readable_diagnosis(row)))
 
     def meta(self, payload: bytes) -> None:
         self._meta.put(payload)

@@ -45,7 +45,7 @@ def _tiles(report: Mapping[str, Any]) -> str:
     before = "" if sound_m is None else f"{_number(sound_m, 1e3)} mm before the leak"
     tiles = [
         ("tracking RMSE", _number(report["tracking"]["rmse_m"], 1e3), "mm", before),
-        ("leak opened / detected", f"{_at(leak['injected_at_s'])} / {_at(leak['detected_at_s'])}", "s", ""),
+        ("leak opened / detected", f"{_at(leak['injected_at_s'])} / {_at(leak['detected_at_s'])}", "s", _named(leak)),
         ("execution p50 / p99", *_both(report["exec_us"])),
         ("lateness p50 / p99", *_both(report["lateness_us"])),
         ("cycles / overruns", f"{_number(report['cycles'])} / {_number(report['overruns'])}", "", ""),
@@ -171,6 +171,12 @@ def _subtitle(report: Mapping[str, Any]) -> str:
     clock = "real time" if report["realtime"] else "lockstep, simulated clock"
     parts = [f"{report['rate_hz']:g} Hz", clock, f"bus {report['bus']['interface']}", f"seed {report['seed']}"]
     return " · ".join(([str(when)] if when else []) + parts)
+
+
+def _named(leak: Mapping[str, Any]) -> str:
+    if leak["found_coefficient"] is None:
+        return ""
+    return f"named {leak['named']}, {leak['found_coefficient']:.3g} of {leak['coefficient'] or 0.0:.3g} m3/(s Pa)"
 
 
 def _leak_text(leak: Mapping[str, Any]) -> str:

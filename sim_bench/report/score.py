@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from servohil.hil.diagnosis_words import LEAKS, change_name
 from servohil.hil.gate import DeviceState, Event
 from servohil.sim_bench.report.truth import truth_index
 
@@ -159,6 +160,12 @@ def _leak(snapshots: NDArray[np.void], injected: int | None, zero_ns: int | None
     alarms = alarm_times_ns(snapshots)
     after = alarms[alarms >= injected] if injected is not None else alarms[:0]
     detected = int(after[0]) if len(after) else None
+    named, size, std = None, None, None
+    if detected is not None:
+        named = change_name(int(snapshots["leak_kind"][np.searchsorted(snapshots["t_ns"], detected)]))
+        last = snapshots[-1]
+        if named in LEAKS:
+            size, std = float(last[f"leak_{named}"]), float(last[f"leak_{named}_std"])
 
     def seconds(t_ns: int | None) -> float | None:
         return None if t_ns is None or zero_ns is None else (t_ns - zero_ns) / NS_PER_S
@@ -171,6 +178,9 @@ def _leak(snapshots: NDArray[np.void], injected: int | None, zero_ns: int | None
         "false_alarms": len(alarms) - len(after),
         "kind": facts.leak_kind,
         "coefficient": facts.leak_coefficient,
+        "named": named,
+        "found_coefficient": size,
+        "found_std": std,
     }
 
 

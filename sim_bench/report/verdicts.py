@@ -40,6 +40,7 @@ def add_verdicts(report: Mapping[str, Any], limits: Limits = Limits()) -> dict[s
         judge("tracking rmse", rmse_mm, "mm", f"<= {limits.tracking_rmse_m * 1e3:g}")
     if report["leak"]["planned_at_s"] is not None and limits.leak_latency_s is not None:
         judge("leak detected after", report["leak"]["latency_s"], "s", f"<= {limits.leak_latency_s:g}")
+        judge("leak named", report["leak"]["named"], "", f"== {report['leak']['kind']}")
     judge("false alarms", report["leak"]["false_alarms"], "1", "== 0")
     judge("final state", report["final_state"], "", f"== {DeviceState.DISABLED.name}")
     if limits.rate_tolerance is not None:
@@ -92,7 +93,7 @@ def summary_lines(report: Mapping[str, Any]) -> list[str]:
         ),
         ("estimation", f"NMSE {states}"),
         ("leak", opened),
-        ("detected", f"{_at(leak['detected_at_s'])}, {leak['false_alarms']} false alarms"),
+        ("detected", f"{_at(leak['detected_at_s'])}{_found(leak)}, {leak['false_alarms']} false alarms"),
         ("telemetry", f"{_count(telemetry['published'])} published, {_count(telemetry['received'])} received"),
         ("final state", " ".join([report["final_state"], *report["fault"]])),
         ("recording", report["recording"] or "none"),
@@ -102,6 +103,13 @@ def summary_lines(report: Mapping[str, Any]) -> list[str]:
         mark = "ok  " if verdict["holds"] else "FAIL"
         lines.append(f"{mark} {verdict['name']}: {value_text(verdict['value'], verdict['unit'])} ({verdict['limit']})")
     return lines
+
+
+def _found(leak: Mapping[str, Any]) -> str:
+    if leak["found_coefficient"] is None:
+        return ""
+    size, std = leak["found_coefficient"], leak["found_std"]
+    return f": {leak['named']}, {size:.3g} +- {std:.1g} m3/(s Pa) of {leak['coefficient'] or 0.0:.3g}"
 
 
 def _count(value: int | None) -> str:

@@ -67,17 +67,34 @@ def test_fault_bits_are_named_and_come_before_the_state_they_cause() -> None:
     assert events[2]["new"] == ["ESTOP", "bit_3"] and events[2]["bits"] == 0b1110
 
 
-def test_leak_alarm_and_its_acknowledgement() -> None:
+def test_a_verdict_and_the_leak_that_follows() -> None:
     detector = ChangeDetector()
-    detector.changes(rows({}))
-    alarm = {"leak_alarm": 1, "leak_channel": 3, "leak_since_ns": 12_000_000_000}
-    events = detector.changes(rows({}, alarm, alarm, {}))
+    detector.changes(rows({"verdict": -1, "leak_kind": -1}))
+    verdict = {"verdicts": 1, "verdict": 1, "leak_kind": 1}
+    alarm = {**verdict, "leak_alarm": 2, "leak_channel": 3, "leak_since_ns": 12_000_000_000}
+    table = rows({"verdict": -1, "leak_kind": -1}, verdict, alarm, alarm, {**verdict, "leak_kind": -1})
+    table["verdict_size"], table["verdict_std"] = 20.0, 0.4
+    table["leak_external_a_m3ps"] = 0.3 / 6e4
+    events = detector.changes(table)
     assert said(events) == [
-        ("alarm", "leak", 1, "leak alarm, residual of pressure A and pressure B"),
-        ("info", "leak", 3, "leak alarm acknowledged"),
+        ("warning", "change", 1, "external leak, chamber A changed by 2e-12 +- 4e-14 m3/(s Pa)"),
+        ("alarm", "leak", 2, "external leak, chamber A: 0.30 l/min above the baseline"),
+        ("info", "leak", 4, "no leak alarm any more"),
     ]
-    assert (events[0]["active"], events[0]["channel"], events[0]["since_ns"]) == (True, 3, 12_000_000_000)
+    assert events[0]["change"] == events[1]["leak"] == "external_a"
+    assert (events[1]["active"], events[1]["channel"], events[1]["since_ns"]) == (True, 3, 12_000_000_000)
     assert all(json.loads(to_json(event)) == event for event in events)
+
+
+def test_a_change_that_is_no_leak_is_information() -> None:
+    detector = ChangeDetector()
+    detector.changes(rows({"verdict": -1}))
+    changed = rows({"verdicts": 1, "verdict": 3}, {"verdicts": 2, "verdict": 13})
+    changed["verdict_size"], changed["verdict_std"] = -5.0, 0.06
+    assert said(detector.changes(changed)) == [
+        ("info", "change", 0, "valve gain changed by -5 +- 0.06 %"),
+        ("info", "change", 1, "something changed that no single cause explains"),
+    ]
 
 
 def test_bit_names() -> None:

@@ -100,7 +100,7 @@ def test_drawings_are_valid_and_follow_the_theme(page: str) -> None:
 
 def test_page_says_what_the_report_says(page: str) -> None:
     for part in (
-        "all 6 verdicts hold",
+        "all 7 verdicts hold",
         "tracking rmse",
         "CUSUM A",
         "threshold",

@@ -13,8 +13,9 @@ LEAK_AT, ALARM_AT = ACTIVE_FROM + 4000, ACTIVE_FROM + 4300
 
 
 def run(
-    error_m: float = 4e-4, alarm_at: int | None = ALARM_AT, end: int = 1, leak: bool = True, realtime: bool = True
-) -> dict[str, Any]:
+    error_m: float = 4e-4, alarm_at: int | None = ALARM_AT, end: int = 1, leak: bool = True, realtime: bool = True,
+    named: int = 0,
+) -> dict[str, Any]:  # fmt: skip
     rows, true = perfect(CYCLES)
     rows["ref_position_m"] += error_m
     rows["lateness_ns"], rows["exec_ns"] = 40_000, 150_000
@@ -24,6 +25,8 @@ def run(
         true["leak"][LEAK_AT:], true["leak_kind"][LEAK_AT:] = 1e-11, 1
     if alarm_at is not None:
         rows["leak_alarm"][alarm_at:] = 1
+        rows["leak_kind"][alarm_at:] = named
+        rows["leak_internal"], rows["leak_internal_std"] = 9.8e-12, 1e-13
     known = facts(realtime=realtime, published=5990, received=5980, recording="runs/x/run.mcap", **planned)
     return score(rows, true, LOOP_START_NS, known)
 
@@ -35,6 +38,7 @@ def verdicts(report: dict[str, Any]) -> dict[str, bool]:
 GOOD = {
     "tracking rmse": True,
     "leak detected after": True,
+    "leak named": True,
     "false alarms": True,
     "final state": True,
     "rate": True,
@@ -46,16 +50,17 @@ def test_good_run_holds() -> None:
     report = add_verdicts(run())
     assert verdicts(report) == GOOD
     assert report["holds"] is True
-    assert [set(each) for each in report["verdicts"]] == [{"name", "value", "unit", "limit", "holds"}] * 6
+    assert [set(each) for each in report["verdicts"]] == [{"name", "value", "unit", "limit", "holds"}] * 7
 
 
 @pytest.mark.parametrize(
     ("change", "broken"),
     [
         ({"error_m": 1.1e-3}, {"tracking rmse"}),
-        ({"alarm_at": None}, {"leak detected after"}),
+        ({"alarm_at": None}, {"leak detected after", "leak named"}),
+        ({"named": 1}, {"leak named"}),
         ({"alarm_at": LEAK_AT + 1001}, {"leak detected after"}),
-        ({"alarm_at": LEAK_AT - 500}, {"leak detected after", "false alarms"}),
+        ({"alarm_at": LEAK_AT - 500}, {"leak detected after", "leak named", "false alarms"}),
         ({"alarm_at": ALARM_AT, "leak": False}, {"false alarms"}),
         ({"end": 3}, {"final state"}),
         ({"end": 6}, {"final state"}),
@@ -96,7 +101,8 @@ def test_missing_truth_is_not_passed_over() -> None:
 def test_limits_left_out() -> None:
     protocol_only = Limits(tracking_rmse_m=None, rate_tolerance=None)
     report = add_verdicts(run(error_m=1.0), protocol_only)
-    assert set(verdicts(report)) == {"leak detected after", "false alarms", "final state", "cycles without truth"}
+    left = {"leak detected after", "leak named", "false alarms", "final state", "cycles without truth"}
+    assert set(verdicts(report)) == left
     assert report["holds"] is True
 
 
@@ -129,7 +135,7 @@ def test_summary_of_a_good_run() -> None:
         "p50 40, p99 40 us",
         "RMSE 0.4 mm",
         f"internal, at {report['leak']['injected_at_s']:.3f} s",
-        "at 4.300 s, 0 false alarms",
+        "at 4.300 s: internal, 9.8e-12 +- 1e-13 m3/(s Pa) of 1e-11, 0 false alarms",
         "5990 published, 5980 received",
         "DISABLED",
         "runs/x/run.mcap",
