@@ -37,13 +37,14 @@ def evaluate_control(quick: bool, json_path: Path | None, page: Path | None) -> 
 @click.option("--healthy-hours", type=click.FloatRange(min=0.5), default=2.0, show_default=True, help="Simulated.")
 @click.option("--page", type=click.Path(path_type=Path), help="Put tables into this page, figures beside it.")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write provenance and claims here.")
-@click.option("--quick", is_flag=True, help="Two cylinders and half an hour, which judge nothing.")
+@click.option("--quick", is_flag=True, help="One cylinder and half an hour, which judge nothing.")
 def evaluate_leakage(runs: int, healthy_hours: float, quick: bool, json_path: Path | None, page: Path | None) -> None:
     """Leaks of all kinds and sizes, what is no leak, healthy hours: delays, verdicts, sizes, false reports."""
     if quick:
         refuse_given(("runs", "healthy_hours"), "--quick has its own")
     with one_clear_line():
+        rig = load(DEFAULT_RIG.parent / "leakage.toml")  # before what is compiled where it is imported
         from servohil.sim_bench.evaluations.leakage_command import evaluate_leakage as run
 
-        holds = run(runs, healthy_hours, quick, json_path, page)
+        holds = run(rig, runs, healthy_hours, quick, json_path, page)
     sys.exit(0 if holds else EXIT_REFUSED)

@@ -67,7 +67,7 @@ class Extent:
         return found + grid(part=(HEALTHY,), run=range(max(1, round(self.healthy_hours / HOURS_PER_RUN))))
 
 
-QUICK: Final = Extent(2, HOURS_PER_RUN, False, False, "hil evaluate leakage --quick")
+QUICK: Final = Extent(1, HOURS_PER_RUN, False, False, "hil evaluate leakage --quick")
 
 
 def one_case(case: dict[str, Any], rng: np.random.Generator) -> list[dict[str, Any]]:

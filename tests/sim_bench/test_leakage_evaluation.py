@@ -89,7 +89,8 @@ def test_what_is_no_leak_is_not_called_one(commissioned: LeakageBench, name: str
 
 
 def test_a_verdict_for_another_leak_is_a_wrong_one(commissioned: LeakageBench) -> None:
-    row = watch(commissioned.copy(), leak("step", 2, 0.5)._replace(is_right=0), 0.1)
+    too_small_to_warn = leak("step", 2, 0.04)._replace(is_right=0)
+    row = watch(commissioned.copy(), too_small_to_warn, 0.1)
     assert row["wrong_leak"] and row["right_s"] is None and row["first"] == "external_b"
 
 
