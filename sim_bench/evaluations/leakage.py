@@ -25,6 +25,7 @@ from servohil.sim_bench.evaluations.leakage_faults import (
     more_faults,
     roc_faults,
     setting_faults,
+    silent_faults,
 )
 from servohil.sim_bench.evaluations.leakage_healthy import HOURS_PER_RUN, healthy, healthy_claims
 
@@ -32,8 +33,8 @@ Table = Mapping[str, NDArray[Any]]
 
 RIG: Final = DEFAULT_RIG.parent / "leakage.toml"
 SEED: Final = 1
-MAIN, MORE, HEALTHY = "main", "more", "healthy"
-MORE_SHARE: Final = 4  # of the runs, one in so many has the other onsets, more noise, a sensor less
+MAIN, MORE, SILENT, HEALTHY = "main", "more", "silent", "healthy"
+MORE_SHARE: Final = 4  # of the runs, one in so many has the other onsets, more noise, or a sensor less
 SETTING_SHARE: Final = 10  # and one in so many is done in each of the other settings
 SIZED_WITHIN: Final = 0.15
 RAMP_NOTICED_S: Final = 30.0  # of 60: there it is 0.25 L/min
@@ -61,7 +62,8 @@ class Extent:
 
     def cases(self) -> list[dict[str, Any]]:
         """Of the campaign."""
-        found = grid(part=(MAIN,), run=range(self.runs)) + grid(part=(MORE,), run=range(-(-self.runs // MORE_SHARE)))
+        found = grid(part=(MAIN,), run=range(self.runs))
+        found += grid(part=(MORE, SILENT), run=range(-(-self.runs // MORE_SHARE)))
         if self.settings:
             found += grid(part=tuple(SETTINGS), run=range(-(-self.runs // SETTING_SHARE)))
         return found + grid(part=(HEALTHY,), run=range(max(1, round(self.healthy_hours / HOURS_PER_RUN))))
@@ -79,7 +81,8 @@ def one_case(case: dict[str, Any], rng: np.random.Generator) -> list[dict[str, A
         return healthy(LeakageBench(rig, truth).commission(), HOURS_PER_RUN)
     plant, motion = SETTINGS.get(part, ({}, None))
     bench = LeakageBench(rig, truth, plant, motion).commission()
-    faults = main_faults() if part == MAIN else more_faults() if part == MORE else setting_faults(part)
+    lists = {MAIN: main_faults, MORE: more_faults, SILENT: silent_faults}
+    faults = lists[part]() if part in lists else setting_faults(part)
     rows = [watch(bench.copy(), fault, float(rng.uniform())) for fault in faults]
     if part == MAIN:
         rows += [largest_ratios(bench.copy(), fault, float(rng.uniform())) for fault in roc_faults()]
@@ -95,6 +98,8 @@ def run_evaluation(extent: Extent, folder: Path, version: str | None = None) -> 
 
 def median_s(values: NDArray[Any]) -> float | None:
     """None where half of the runs or more have none."""
+    if values.size == 0:
+        return None
     middle = float(np.median(np.where(np.isnan(values.astype(float)), np.inf, values.astype(float))))
     return middle if np.isfinite(middle) else None
 

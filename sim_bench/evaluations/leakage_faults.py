@@ -77,6 +77,9 @@ def _each(group: str, lpm: float, **how: float) -> list[Fault]:
     return [leak(group, kind, lpm, **how) for kind in range(N_LEAKS)]
 
 
+SILENT: Final = ("missing A", "missing B")  # pressure sensor
+
+
 def main_faults() -> list[Fault]:
     """All that happens to every commissioned cylinder."""
     found = [leak("step", kind, lpm) for lpm in STEP_SIZES for kind in range(N_LEAKS)]
@@ -91,11 +94,16 @@ def more_faults() -> list[Fault]:
     found = _each("ramp", RAMP_LPM, ramp_s=RAMP_S, watch_s=75.0)
     found += _each("intermittent", 0.5, period_s=4.0, watch_s=30.0)
     found += [Fault("noise", "none", NOTHING, 0.0, -1, noise=3.0, watch_s=30.0), *_each("noise", 0.25, noise=3.0)]
-    for chamber in (0, 1):
-        group = f"missing {'AB'[chamber]}"
+    for chamber, group in enumerate(SILENT):
         found += [Fault(group, "none", NOTHING, 0.0, -1, missing=chamber, watch_s=20.0)]
         found += _each(group, 0.25, missing=chamber, watch_s=30.0)
     return found
+
+
+def silent_faults() -> list[Fault]:
+    """What is no leak while one pressure sensor is silent."""
+    faults = [fault for fault in main_faults() if fault.group == "other"]
+    return [fault._replace(group=group, missing=i) for i, group in enumerate(SILENT) for fault in faults]
 
 
 def roc_faults() -> list[Fault]:

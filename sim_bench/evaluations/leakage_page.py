@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from servohil.hil.claims import Claim
 from servohil.hil.claims_page import value_text
 from servohil.sim_bench.evaluations.leakage import Table, median_s, of_fault
-from servohil.sim_bench.evaluations.leakage_faults import DIFFERENCES, LEAK_NAMES, SETTINGS, STEP_SIZES
+from servohil.sim_bench.evaluations.leakage_faults import DIFFERENCES, LEAK_NAMES, SETTINGS, SILENT, STEP_SIZES
 from servohil.sim_bench.evaluations.leakage_healthy import counted, tail
 
+SMALL: Final = tuple(f"{kind} 0.25" for kind in LEAK_NAMES)
 FIGURES: Final = {
     "leakage-delay.png": "Delay against size, beside the smallest leaks that were published",
     "leakage-confusion.png": "What each fault is called first",
@@ -32,13 +33,11 @@ def leakage_tables(claims: Sequence[Claim], table: Table) -> str:
     lines += [f"![{text}]({name})\n" for name, text in list(FIGURES.items())[1:2]]
     lines += ["**What is no leak**", "", *_others(table, [("other", name) for name in DIFFERENCES])]
     lines += ["**Noise of all sensors three times as large from the onset on**", ""]
-    lines += _others(table, [("noise", name) for name in ("none", *_small())])
-    lines += ["**One pressure sensor silent**, leaks of 0.25 L/min", ""]
-    lines += _others(table, [(f"missing {c}", name) for c in "AB" for name in ("none", *_small())], show=True)
-    settings = [(f"setting {name}", fault) for name in SETTINGS for fault in ("none", *_small())]
-    if any((table["group"] == group).any() for group, _ in settings):
-        lines += ["**Other motions, and truths that the model cannot say**, leaks of 0.25 L/min", ""]
-        lines += _others(table, settings, show=True)
+    lines += _others(table, [("noise", name) for name in ("none", *SMALL)])
+    for group in SILENT:
+        lines += [f"**Pressure sensor {group[-1]} silent**", ""]
+        lines += _others(table, [(group, name) for name in ("none", *SMALL, *DIFFERENCES)])
+    lines += _settings(table)
     lines += [f"![{text}]({name})\n" for name, text in list(FIGURES.items())[2:]]
     lines += _healthy(table)
     limits = [c for c in claims if c.limit]
@@ -47,10 +46,6 @@ def leakage_tables(claims: Sequence[Claim], table: Table) -> str:
         for c in limits
     ]
     return "\n".join([*lines, ""])
-
-
-def _small() -> list[str]:
-    return [f"{kind} 0.25" for kind in LEAK_NAMES]
 
 
 def _leaks(table: Table) -> list[str]:
@@ -88,21 +83,41 @@ def _growing(table: Table) -> list[str]:
     return [*lines, ""]
 
 
-def _others(table: Table, which: Sequence[tuple[str, str]], show: bool = False) -> list[str]:
+def _others(table: Table, which: Sequence[tuple[str, str]]) -> list[str]:
     lines = [
-        f"| {'with | ' if show else ''}fault | noticed, % | after | said first, of all | wrong leak reports |",
-        f"|---|{'---|' if show else ''}---:|---:|---|---:|",
+        "| fault | noticed, % | after | said first, of all | open at the end, % | wrong leak reports |",
+        "|---|---:|---:|---|---:|---:|",
     ]
     for group, fault in which:
         rows = of_fault(table, group, fault)
-        said = counted([str(name) for name in rows["first"] if name is not None]) or "nothing"
-        silent = int(sum(name is None for name in rows["first"]))
-        cells = [
-            fault, _percent(~_none(rows["detected_s"])), _times(rows["detected_s"]),
-            said + (f", nothing {silent}" if silent and said != "nothing" else ""),
-            str(int(rows["wrong_leak"].astype(bool).sum())),
-        ]  # fmt: skip
-        lines.append(f"| {' | '.join([group.removeprefix('setting '), *cells] if show else cells)} |")
+        cells = (
+            f"{fault} L/min" if fault in SMALL else fault, _percent(~_none(rows["detected_s"])),
+            _times(rows["detected_s"]), counted(["nothing" if name is None else str(name) for name in rows["first"]]),
+            _percent(rows["pending"].astype(bool)), str(int(rows["wrong_leak"].astype(bool).sum())),
+        )  # fmt: skip
+        lines.append(f"| {' | '.join(cells)} |")
+    return [*lines, ""]
+
+
+def _settings(table: Table) -> list[str]:
+    if not any((table["group"] == f"setting {name}").any() for name in SETTINGS):
+        return []
+    lines = [
+        "**Other motions, and truths that the model cannot say**: leaks of 0.25 L/min of all kinds", "",
+        "| with | cylinders | without a leak | noticed | right kind | in % | wrong leak reports | size off, % |",
+        "|---|---:|---|---:|---:|---:|---:|---:|",
+    ]  # fmt: skip
+    for name in SETTINGS:
+        none = of_fault(table, f"setting {name}", "none")
+        mine = (table["group"] == f"setting {name}") & (table["fault"] != "none")
+        rows = {key: column[mine] for key, column in table.items()}
+        wrong = int(rows["wrong_leak"].astype(bool).sum() + none["wrong_leak"].astype(bool).sum())
+        said = counted(["nothing" if first is None else str(first) for first in none["first"]])
+        cells = (
+            name, str(none["group"].size), said, _times(rows["detected_s"]), _times(rows["right_s"]),
+            _percent(~_none(rows["right_s"])), str(wrong), _sizes(rows["error"]),
+        )  # fmt: skip
+        lines.append(f"| {' | '.join(cells)} |")
     return [*lines, ""]
 
 

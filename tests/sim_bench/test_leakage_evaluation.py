@@ -31,6 +31,7 @@ from servohil.sim_bench.evaluations.leakage_faults import (
     leak,
     main_faults,
     more_faults,
+    silent_faults,
 )
 from servohil.sim_bench.evaluations.leakage_figures import draw_all, exceedance
 from servohil.sim_bench.evaluations.leakage_healthy import counted, healthy, longer_windows, tail
@@ -144,10 +145,11 @@ def test_the_truth_is_off_by_what_is_stated_and_a_rig_without_learning_is_refuse
 def synthetic(path: Path, **changes: Any) -> dict[str, Any]:
     """A table of 4 runs in which all is well, but for `changes` of the leak "internal 0.25"."""
     rows: list[dict[str, Any]] = []
-    for fault in [*main_faults(), *more_faults()]:
+    for fault in [*main_faults(), *more_faults(), *silent_faults()]:
         row = {
             "group": fault.group, "fault": fault.name, "detected_s": 0.1, "verdict_s": 0.6, "wrong_leak": False,
-            "right_s": 0.6 if fault.is_right >= 0 else None, "first": fault.name.split()[0] if fault.is_leak else None,
+            "pending": False, "right_s": 0.6 if fault.is_right >= 0 else None,
+            "first": fault.name.split()[0] if fault.is_leak else None,
             "error": 0.02 if fault.is_leak else None, "error_later": 0.01 if fault.is_leak else None,
         }  # fmt: skip
         rows += [row | (changes if fault.name == "internal 0.25" and fault.group == "step" else {})] * 4
@@ -205,11 +207,11 @@ def test_figures_of_windows() -> None:
 
 def test_every_case_is_known_and_quick_takes_no_numbers() -> None:
     parts = {case["part"] for case in Extent(20, 2.0).cases()}
-    assert parts == {"main", "more", "healthy", *leakage.SETTINGS}
+    assert parts == {"main", "more", "silent", "healthy", *leakage.SETTINGS}
     assert sum(case["part"] == "main" for case in Extent(20, 2.0).cases()) == 20
-    assert len({(fault.group, fault.name) for fault in [*main_faults(), *more_faults()]}) == len(
-        [*main_faults(), *more_faults()]
-    )
+    faults = [*main_faults(), *more_faults(), *silent_faults()]
+    assert len({(fault.group, fault.name) for fault in faults}) == len(faults)
+    assert sum(fault.missing == 1 and not fault.is_leak for fault in faults) == len(DIFFERENCES) + 1
     assert set(LIMITS) <= set(STEP_SIZES) and one_case.__module__ == leakage.__name__
     result = CliRunner().invoke(main, ["evaluate", "leakage", "--quick", "--runs", "3"])
     assert result.exit_code == 2 and "--runs: --quick has its own" in result.output
