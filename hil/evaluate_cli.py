@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from servohil.hil.command_line import DEFAULT_RIG, EXIT_REFUSED, load, one_clear_line
+from servohil.hil.command_line import DEFAULT_RIG, EXIT_REFUSED, load, one_clear_line, refuse_given
 
 
 @click.group()
@@ -29,4 +29,22 @@ def evaluate_control(quick: bool, json_path: Path | None, page: Path | None) -> 
             "control", load(DEFAULT_RIG), lambda _: control_claims(quick, folder), json_path, page, control_tables,
             own_bar=True,
         )  # fmt: skip
+    sys.exit(0 if holds else EXIT_REFUSED)
+
+
+@evaluate.command("leakage")
+@click.option("--runs", type=click.IntRange(min=1), default=100, show_default=True, help="Cylinders to commission.")
+@click.option("--healthy-hours", type=click.FloatRange(min=0.5), default=2.0, show_default=True, help="Simulated.")
+@click.option("--page", type=click.Path(path_type=Path), help="Put tables into this page, figures beside it.")
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write provenance and claims here.")
+@click.option("--quick", is_flag=True, help="One cylinder and half an hour, which judge nothing.")
+def evaluate_leakage(runs: int, healthy_hours: float, quick: bool, json_path: Path | None, page: Path | None) -> None:
+    """Leaks of all kinds and sizes, what is no leak, healthy hours: delays, verdicts, sizes, false reports."""
+    if quick:
+        refuse_given(("runs", "healthy_hours"), "--quick has its own")
+    with one_clear_line():
+        rig = load(DEFAULT_RIG.parent / "leakage.toml")  # before what is compiled where it is imported
+        from servohil.sim_bench.evaluations.leakage_command import evaluate_leakage as run
+
+        holds = run(rig, runs, healthy_hours, quick, json_path, page)
     sys.exit(0 if holds else EXIT_REFUSED)

@@ -7,13 +7,15 @@ the estimate of a filter that knows the configuration, and the diagnosis. Only f
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numpy.typing import NDArray
 
 from servohil.control.laws.intsmc import intsmc_step
 from servohil.estimators.leakage import layout as at
+from servohil.estimators.leakage.diagnosis_step import STEP_TYPE as DIAGNOSIS_STEP
 from servohil.estimators.models import cylinder
 from servohil.estimators.models.cylinder import BULK, CS, FRICTION
+from servohil.estimators.trajectory import STEP_TYPE as FILTER_STEP
 from servohil.sim_bench.plants import cylinder as truth
 
 Vector = NDArray[np.float64]
@@ -24,7 +26,15 @@ GAIN, BULK_DRIFT, FRICTION_DRIFT, SUPPLY_DRIFT, NULL_DRIFT, N_DRIFTS = range(6)
 N_TRUTH: Final = 25
 # What a fault moves: a parameter of the plant (its index), or one of these.
 NULL_V, SUPPLY_PA, SENSOR_A_PA, SENSOR_B_PA = range(100, 104)
-RESOLUTION: Final = (1e-6, 1e3, 1e3, 1e3, 1e3, 1e-3)  # position m, pressures A, B, supply, tank Pa, spool V
+# Columns of the log: ratio, mode, verdict, amounts in the model, then these.
+ERROR_M, PRESSURE_A, PRESSURE_B, LOG_COLUMNS = range(3 + at.C, 7 + at.C)
+_VECTOR: Final = types.float64[::1]
+_ROWS: Final = types.float64[:, ::1]
+# Spelt out, so that what is compiled is found on disk again: the type of a filter's step would be a new one each time.
+SIGNATURE: Final = types.void(
+    types.int64, *[_VECTOR] * 7, _ROWS, *[_VECTOR] * 3, types.npy_rng, FILTER_STEP, *[_VECTOR] * 2, DIAGNOSIS_STEP,
+    *[_VECTOR] * 5, *[_ROWS] * 2,
+)  # fmt: skip
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -43,7 +53,7 @@ def _advance(x: Vector, u: Vector, p: Vector, dt: float, k: Matrix) -> None:
         x[i] += dt / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(SIGNATURE, nogil=True, cache=True, error_model="numpy")
 def run(
     steps: int, clock: Vector, x: Vector, command: Vector, law_state: Vector, gains: Vector, configured: Vector,
     plant: Vector, drifts: Matrix, fault: Vector, motion: Vector, noise: Vector, rng: Any, filter_step: Any,
@@ -69,7 +79,7 @@ def run(
         rng: np.random.Generator.
         filter_step, filter_arena, filter_work: of the control filter.
         diagnosis_step .. table: of the diagnosis.
-        log: (rows, 3 or more) filled every steps // rows with ratio, mode, verdict.
+        log: (rows, LOG_COLUMNS) filled every steps // rows; pressures are the true ones, MPa.
     """
     dt = 1e-3
     p = np.empty(N_TRUTH)
@@ -162,4 +172,6 @@ def run(
                 log[row, 2] = arena[at.VERDICT]
                 for i in range(at.C):
                     log[row, 3 + i] = arena[at.KNOWN + i] + arena[at.THETA + i]
-                log[row, 3 + at.C] = x[0] - reference[0]
+                log[row, ERROR_M] = x[0] - reference[0]
+                log[row, PRESSURE_A] = x[2]
+                log[row, PRESSURE_B] = x[3]
