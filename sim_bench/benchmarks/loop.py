@@ -1,5 +1,5 @@
 """`hil benchmark loop`: what one cycle costs, stage by stage, what the bus costs beside a named
-peer, and what the control laws cost.
+peer, and what the control laws and the diagnosis cost.
 
 Two ways to look at each stage: back to back, when caches are warm, and after sleeping through the rest of a period,
 as in the real loop. Medians; tails belong to the machine, not to the program.
@@ -22,6 +22,7 @@ from servohil.hil.cycle import Cycle
 from servohil.hil.dry_run import PlausibleSensors, dry_run
 from servohil.hil.inputs import InputsBuffer
 from servohil.hil.ring import Kind, RingReader, RingWriter
+from servohil.sim_bench.benchmarks.diagnosis import diagnosis_claims
 from servohil.sim_bench.benchmarks.laws import law_claims
 
 NS_PER_US: Final = 1e3
@@ -127,4 +128,4 @@ def loop_claims(rig: Rig, quick: bool, tick: Tick) -> list[Claim]:
     if ours is not None and peer is not None:
         ratio = peer / ours
         claims.append(Claim.judge("loop.bus.udp_multicast_to_servohil", ratio, "1", "> 1", "the two above"))
-    return [*claims, *law_claims(quick)]
+    return [*claims, *law_claims(quick), *diagnosis_claims(rig, quick)]

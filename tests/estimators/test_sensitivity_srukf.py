@@ -105,6 +105,7 @@ def worst(found, expected):
     return gap / np.maximum(np.nanmax(np.abs(expected), axis=0), 1e-300)
 
 
+@pytest.mark.nightly  # half a minute of compilation; the cylinder below is judged in every run
 @pytest.mark.parametrize("transform", ["scaled", "paper"])
 def test_sensitivities_equal_differences_of_a_filter_in_plain_numpy(transform):
     # P4's alpha is no good for the scaled transform in array form, but for its own

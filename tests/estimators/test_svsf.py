@@ -41,6 +41,7 @@ def nominal_motion():
     return pump_motion(2000, 0)
 
 
+@pytest.mark.nightly  # half a minute of compilation; the actuator below has hidden states too
 @pytest.mark.parametrize("layers", [[0.2, 0.3], [0.2, 0.3, 0.4, 0.5]])
 def test_equals_the_text_with_hidden_states_mixed_outputs_and_gaps(layers):
     system = four_states()

@@ -65,6 +65,7 @@ TRACKED = {
 }
 
 
+@pytest.mark.nightly  # a filter to compile for each; one of them runs on the bus in every run
 @pytest.mark.parametrize("plant", TRACKED, ids=lambda plant: plant.__name__.rpartition(".")[2])
 def test_a_filter_tracks_the_simulated_arm(plant):
     start, process, sensor, first = (np.array(values, float) for values in TRACKED[plant])
