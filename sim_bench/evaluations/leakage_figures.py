@@ -23,7 +23,7 @@ PUBLISHED: Final = {
     "cross-correlation, FPMC 2014": 0.069, "Hilbert-Huang offline, 2012": 0.124, "wavelet, online": 0.2,
     "Hilbert-Huang online, 2012": 0.23, "wavelet, external": 0.3, "joint parameters, 2011": 0.6,
 }  # fmt: skip
-CONFUSION_SIZES: Final = (0.5, 0.25, 0.1, 0.05)
+CONFUSION_SIZES: Final = (0.5, 0.25, 0.1, 0.05, 0.02)
 
 
 def draw_all(table: Table, folder: Path) -> None:
