@@ -34,8 +34,8 @@ Table = Mapping[str, NDArray[Any]]
 RIG: Final = DEFAULT_RIG.parent / "leakage.toml"
 SEED: Final = 1
 MAIN, MORE, SILENT, HEALTHY = "main", "more", "silent", "healthy"
-MORE_SHARE: Final = 4  # of the runs, one in so many has the other onsets, more noise, or a sensor less
-SETTING_SHARE: Final = 10  # and one in so many is done in each of the other settings
+MORE_SHARE: Final = 4  # of the runs, one in so many has the other onsets, more noise, or leaks and a sensor less;
+SETTING_SHARE: Final = 10  # one in so many is done in each of the other settings, or has other faults and a sensor less
 SIZED_WITHIN: Final = 0.15
 RAMP_NOTICED_S: Final = 30.0  # of 60: there it is 0.25 L/min
 # Of each size in L/min: median s to "something changed"; s to the right kind, and in how many of 100.
@@ -49,7 +49,7 @@ class Extent:
     Attributes:
         runs: commissioned cylinders.
         healthy_hours: simulated, in pieces of HOURS_PER_RUN.
-        settings: whether other motions and truths are run too.
+        settings: whether all but the steps and the healthy hours is run too.
         judging: whether the limits are asked for.
         command: as it was called, for the claims.
     """
@@ -63,9 +63,9 @@ class Extent:
     def cases(self) -> list[dict[str, Any]]:
         """Of the campaign."""
         found = grid(part=(MAIN,), run=range(self.runs))
-        found += grid(part=(MORE, SILENT), run=range(-(-self.runs // MORE_SHARE)))
         if self.settings:
-            found += grid(part=tuple(SETTINGS), run=range(-(-self.runs // SETTING_SHARE)))
+            found += grid(part=(MORE,), run=range(-(-self.runs // MORE_SHARE)))
+            found += grid(part=(SILENT, *SETTINGS), run=range(-(-self.runs // SETTING_SHARE)))
         return found + grid(part=(HEALTHY,), run=range(max(1, round(self.healthy_hours / HOURS_PER_RUN))))
 
 
@@ -119,6 +119,8 @@ def leakage_claims(table: Table, extent: Extent) -> list[Claim]:
     for kind in LEAK_NAMES:
         rows = of_fault(table, "ramp", f"{kind} 0.5")
         times = rows["detected_s"].astype(float)
+        if not times.size:
+            continue
         latest = None if np.isnan(times).any() else float(times.max(initial=0.0))
         text = f"latest of {times.size} ramps to 0.5 L/min over 60 s"
         found.append(Claim.judge(f"leakage.ramp.{kind}.noticed_s", latest, "s", f"<= {RAMP_NOTICED_S:g}", text))

@@ -4,6 +4,7 @@ from typing import Any, Final
 
 from servohil.estimators.leakage import layout as at
 from servohil.estimators.leakage.changes import N_LEAKS
+from servohil.estimators.leakage.diagnosis import BLOCK_S
 from servohil.estimators.models.cylinder import CS
 from servohil.sim_bench.evaluations.leakage_bench import CYCLES_PER_S, LeakageBench, pressure_differences
 from servohil.sim_bench.evaluations.leakage_faults import LEAK_PARAMETERS, NOTHING, Fault, verdict_name
@@ -14,8 +15,7 @@ LOOK_S: Final = 0.1  # shorter than the time from a suspicion to a verdict: none
 AFTER_S: Final = 10.0  # watched on after the right verdict
 SIZED_AFTER_S: Final = 5.0
 LEAST_SHARE: Final = 0.5  # of the mean pressure difference: where less is present, the mean counts
-BLOCK_S: Final = 0.032  # the ratio is new after every block
-WINDOWS: Final = {"ratio_1s": 30, "ratio_2s": 60, "ratio_5s": 150}  # blocks: 0.96, 1.92 and 4.8 s
+WINDOWS: Final = {"ratio_1s": 30, "ratio_2s": 60, "ratio_5s": 150}  # blocks, each with a new ratio: 0.96 to 4.8 s
 
 
 def place(bench: LeakageBench, fault: Fault, phase: float) -> float:

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servohil.estimators.leakage.changes import NAMES
-from servohil.estimators.leakage.diagnosis import RATIOS_PER_HOUR, expected_ratio
+from servohil.estimators.leakage.diagnosis import BLOCK_S, RATIOS_PER_HOUR, expected_ratio
 from servohil.hil.config import load_rig
 from servohil.sim_bench.evaluations.leakage import RIG, Table, of_fault
-from servohil.sim_bench.evaluations.leakage_episode import BLOCK_S, WINDOWS
+from servohil.sim_bench.evaluations.leakage_episode import WINDOWS
 from servohil.sim_bench.evaluations.leakage_faults import DIFFERENCES, LEAK_NAMES, ROC_SIZES, STEP_SIZES
 from servohil.sim_bench.evaluations.leakage_healthy import WINDOW_BLOCKS, longer_windows
 from servohil.sim_bench.evaluations.leakage_page import FIGURES
@@ -23,7 +23,7 @@ PUBLISHED: Final = {
     "cross-correlation, FPMC 2014": 0.069, "Hilbert-Huang offline, 2012": 0.124, "wavelet, online": 0.2,
     "Hilbert-Huang online, 2012": 0.23, "wavelet, external": 0.3, "joint parameters, 2011": 0.6,
 }  # fmt: skip
-CONFUSION_SIZES: Final = (0.5, 0.25, 0.1, 0.05)
+CONFUSION_SIZES: Final = (0.5, 0.25, 0.1, 0.05, 0.02)
 
 
 def draw_all(table: Table, folder: Path) -> None:

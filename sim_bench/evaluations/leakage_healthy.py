@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from servohil.estimators.leakage import layout as at
 from servohil.estimators.leakage.changes import N_LEAKS
-from servohil.estimators.leakage.diagnosis import RATIOS_PER_HOUR
+from servohil.estimators.leakage.diagnosis import BLOCK_S, RATIOS_PER_HOUR
 from servohil.hil.claims import Claim
 from servohil.sim_bench.evaluations.leakage_bench import LeakageBench
-from servohil.sim_bench.evaluations.leakage_episode import BLOCK_S
 from servohil.sim_bench.evaluations.leakage_faults import verdict_name
 
 HOURS_PER_RUN: Final = 0.5

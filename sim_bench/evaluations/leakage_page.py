@@ -75,6 +75,8 @@ def _growing(table: Table) -> list[str]:
     for kind in LEAK_NAMES:
         for group in ("ramp", "intermittent"):
             rows = of_fault(table, group, f"{kind} 0.5")
+            if not rows["group"].size:
+                continue
             cells = (
                 kind, group, _times(rows["detected_s"]), _times(rows["right_s"]), _percent(~_none(rows["right_s"])),
                 str(int(rows["wrong_leak"].astype(bool).sum())),
@@ -90,6 +92,8 @@ def _others(table: Table, which: Sequence[tuple[str, str]]) -> list[str]:
     ]
     for group, fault in which:
         rows = of_fault(table, group, fault)
+        if not rows["group"].size:
+            continue
         cells = (
             f"{fault} L/min" if fault in SMALL else fault, _percent(~_none(rows["detected_s"])),
             _times(rows["detected_s"]), counted(["nothing" if name is None else str(name) for name in rows["first"]]),
