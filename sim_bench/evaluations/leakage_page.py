@@ -32,8 +32,9 @@ def leakage_tables(claims: Sequence[Claim], table: Table) -> str:
     lines += _leaks(table) + _growing(table)
     lines += [f"![{text}]({name})\n" for name, text in list(FIGURES.items())[1:2]]
     lines += ["**What is no leak**", "", *_others(table, [("other", name) for name in DIFFERENCES])]
-    lines += ["**Noise of all sensors three times as large from the onset on**", ""]
-    lines += _others(table, [("noise", name) for name in ("none", *SMALL)])
+    if (table["group"] == "noise").any():
+        lines += ["**Noise of all sensors three times as large from the onset on**", ""]
+        lines += _others(table, [("noise", name) for name in ("none", *SMALL)])
     for group in SILENT:
         lines += [f"**Pressure sensor {group[-1]} silent**", ""]
         lines += _others(table, [(group, name) for name in ("none", *SMALL, *DIFFERENCES)])
