@@ -37,11 +37,10 @@ OWN_ID: Final = int(Kind.OWN_ID)
 LEAK_ALARM_LEVEL: Final = 2
 FILTER_TROUBLE: Final = GATED | REPAIRED | NOT_FINITE_INPUT | DIVERGED
 
-# int64 words of the cycle's own state.
 (
     DEVICE, GOAL, FAULT, RAMP_LEFT, FIRST_ACTIVE, STARTED, OVERRUNS, OVERRUNS_IN_A_ROW, REJECTED, REPAIRS,
-    COMMAND_SEQ, COMMAND_RESULT, PARAM_VERSION, LEAK_SINCE, OTHER_COMMANDERS, N_WORDS,
-) = range(16)  # fmt: skip
+    COMMAND_SEQ, COMMAND_RESULT, PARAM_VERSION, LEAK_SINCE, OTHER_COMMANDERS, DOUBT, N_WORDS,
+) = range(17)  # fmt: skip
 
 
 class Cycle:
@@ -169,13 +168,12 @@ class Cycle:
 
     def _moving(self) -> bool:
         """Whether what the diagnosis sees is the motion that it judges."""
-        words = self._words
-        return bool(words[DEVICE] == ACTIVE or (self.listen_only and words[STARTED]))
+        return bool(self._words[DEVICE] == ACTIVE or (self.listen_only and self._words[STARTED]))
 
     def _estimate(self, complete: bool, skipped: int, moving: bool) -> int:
         """Predict over the past interval and the skipped ones, correct with what came; returns the filter's status."""
-        words, sensing, estimation = self._words, self._sensing, self._estimation
-        y, u = sensing.y, sensing.u
+        words, estimation = self._words, self._estimation
+        y, u = self._sensing.y, self._sensing.u
         if skipped > LONGEST_PREDICTION:
             words[STARTED] = 0
         if not words[STARTED]:
@@ -185,7 +183,7 @@ class Cycle:
             words[STARTED] = 1
             return 0
         saturated = abs(u[0]) >= self._limits.command_max_v - self.rig.control.dead_band_v
-        estimation.hold(saturated or words[LEAK_SINCE] >= 0 or estimation.diagnosis.pending)
+        estimation.hold(saturated or words[DOUBT] != 0)
         estimation.predict(u, skipped)
         status = estimation.step(u, y, moving)
         words[REPAIRS] += (status & FILTER_TROUBLE) != 0
@@ -243,15 +241,20 @@ class Cycle:
         """Run the residual test, and look what the diagnosis says; returns whether its leak alarm stands."""
         words, diagnosis = self._words, self._estimation.diagnosis
         residuals, variances = self._residuals, self._variances
+        residuals[:] = nan
         if complete and not skipped:
             self._estimation.pressure_residuals(residuals, variances)
-        else:
-            residuals[:] = nan
-        self.monitor.step(residuals, variances, self._moving() and not diagnosis.learning)
-        alarm = diagnosis.alarm
-        if (alarm > 0) != (words[LEAK_SINCE] >= 0):
+        monitor, alarm = self.monitor, diagnosis.alarm
+        monitor.step(residuals, variances, self._moving() and not diagnosis.learning)
+        if not alarm or words[LEAK_SINCE] < 0:
             words[LEAK_SINCE] = t_ns if alarm else -1
+        # Of the model: the residual test is quicker, the diagnosis knows better within a second.
+        doubt = bool(alarm or diagnosis.pending or (monitor.alarm and monitor.age * self.dt < 1.0))
+        if doubt != words[DOUBT]:
+            words[DOUBT] = doubt
             self._estimation.forget_noise()
+            if not doubt:
+                monitor.acknowledge()
         return alarm == LEAK_ALARM_LEVEL
 
     def _enter(self, cycle: int) -> None:
@@ -277,7 +280,7 @@ class Cycle:
         monitor, tracking, record = self.monitor, self._tracking, self._record
         (
             device, _, fault, _, first_active, _, overruns, _, rejected, repairs,
-            command_seq, command_result, param_version, leak_since, _,
+            command_seq, command_result, param_version, leak_since, _, _,
         ) = self._words.tolist()  # fmt: skip
         active_t_ns = (inputs.cycle - first_active) * self.period_ns if first_active >= 0 else -1
         record.integers[:] = (

@@ -164,7 +164,7 @@ def winner(w_diagonal: Vector, w_right: Vector, step_std: Vector, amounts: Vecto
     Args:
         w_diagonal, w_right: see `marginal`.
         step_std: (C,) of a sudden change.
-        amounts: (C,) before the change: a leak may close, but no oil leaks in.
+        amounts: (C,) before the change, of leaks above the baseline: one may close, but no oil leaks in.
         confidence: filled.
     """
     highest = 0.0

@@ -79,6 +79,8 @@ def _weigh(arena: Vector, work: Vector, settings: Vector) -> int:
     amounts = vector_at(work, at.W_MATRIX, C)  # no longer needed: its factor is
     for j in range(C):
         amounts[j] = arena[at.KNOWN + j] + arena[at.THETA + j]
+    for j in range(N_LEAKS):  # what leaked in healthy days does not close by itself
+        amounts[j] = max(amounts[j] - arena[at.BASELINE + j], 0.0)
     best = winner(diagonal, right, step_std, amounts, vector_at(arena, at.CONFIDENCE, C + 1))
     unclear = 0
     for j in range(C):

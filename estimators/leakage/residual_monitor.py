@@ -162,6 +162,11 @@ class ResidualMonitor:
         return int(self.arena[SINCE])
 
     @property
+    def age(self) -> int:
+        """Steps since the alarm; 0 without one."""
+        return int(self.arena[STEP] - 1.0 - self.arena[SINCE]) if self.arena[ALARM] else 0
+
+    @property
     def settled(self) -> bool:
         """Whether the settling time has passed, so that leaks are being judged."""
         return bool(self.arena[SETTLED] >= self.arena[SETTLE_STEPS])
