@@ -184,7 +184,7 @@ class Cycle:
             return 0
         saturated = abs(u[0]) >= self._limits.command_max_v - self.rig.control.dead_band_v
         estimation.hold(saturated or words[DOUBT] != 0)
-        estimation.predict(u, skipped)
+        estimation.predict(u, skipped, moving)
         status = estimation.step(u, y, moving)
         words[REPAIRS] += (status & FILTER_TROUBLE) != 0
         return status

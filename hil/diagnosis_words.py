@@ -57,7 +57,7 @@ def verdict_text(row: Any) -> str:
 def leak_text(row: Any) -> str:
     """The largest leak of a SNAPSHOT row as a sentence."""
     kind = int(row["leak_kind"])
-    if kind < 0:
+    if not 0 <= kind < len(LEAKS):
         return "no leak"
     flow = L_PER_MIN * float(row[f"leak_{LEAKS[kind]}_m3ps"])
     return f"{CHANGE_WORDS[kind].text}: {flow:.2f} l/min above the baseline"
@@ -89,18 +89,23 @@ def readable_diagnosis(row: Any) -> dict[str, Any]:
     return {
         "cycle": int(row["cycle"]),
         "t_ns": int(row["t_ns"]),
-        "mode": MODES[int(row["diagnosis_mode"])],
+        "mode": _named(MODES, int(row["diagnosis_mode"])),
         "statistic": _finite(row["change_statistic"]),
         "threshold": _finite(row["change_threshold"]),
         "not_excluded": [words.name for i, words in enumerate(CHANGE_WORDS) if unclear >> i & 1],
         "verdicts": int(row["verdicts"]),
         "verdict": found,
         "leak": change_name(int(row["leak_kind"])),
-        "level": LEVELS[level],
+        "level": _named(LEVELS, level),
         "leaks": leaks,
         "residuals_pa": [_finite(row["residual_a_pa"]), _finite(row["residual_b_pa"])],
         "text": leak_text(row) if level else verdict_text(row),
     }
+
+
+def _named(names: tuple[str, ...], place: int) -> str:
+    """A Snapshot of a later version may say what this one has no word for."""
+    return names[place] if 0 <= place < len(names) else f"unknown_{place}"
 
 
 def _finite(value: Any) -> float | None:

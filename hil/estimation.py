@@ -16,6 +16,7 @@ from servohil.hil.estimate_view import EstimateView
 Vector = NDArray[np.float64]
 
 NS_PER_MS: Final = 1_000_000
+KNOWN_NS: Final = 10_000_000  # a valve driver holds the last command for so long
 
 
 class Estimation:
@@ -38,6 +39,7 @@ class Estimation:
         self.view = EstimateView(self.filter)
         self._twin_view = EstimateView(self.diagnosis.twin)
         self._cycles_per_ms = NS_PER_MS / rig.loop.period_ns
+        self._known_periods = KNOWN_NS // rig.loop.period_ns
         self._missing = np.full(cylinder.N_OUTPUTS, nan)
         self._unknown = np.full(cylinder.N_STATES + cylinder.N_OUTPUTS, nan)
 
@@ -46,10 +48,12 @@ class Estimation:
         self.filter.reset(x0=np.array([y[0], 0.0, y[1], y[2]]))
         self.diagnosis.start(y)
 
-    def predict(self, u: Vector, periods: int) -> None:
-        """Go on over periods in which nothing was measured."""
+    def predict(self, u: Vector, periods: int, moving: bool) -> None:
+        """Go on over periods in which nothing was measured; after many what the valve did meanwhile is not known."""
         for _ in range(periods):
-            self.step(u, self._missing, moving=False)
+            self.step(u, self._missing, moving)
+        if periods > self._known_periods:
+            self.diagnosis.pause()
 
     def step(self, u: Vector, y: Vector, moving: bool) -> int:
         """One period; returns the status of the filter. `moving`: whether the diagnosis may judge what it sees."""

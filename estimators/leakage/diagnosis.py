@@ -204,6 +204,11 @@ class Diagnosis:
             )
         )  # fmt: skip
 
+    def pause(self) -> None:
+        """For the memory of the filter nothing counts: something went in that the model cannot know."""
+        state, settings = self.state, self._settings
+        state[at.SETTLED] = min(state[at.SETTLED], settings[at.SETTLE_STEPS] - settings[at.GUARD_STEPS])
+
     def acknowledge(self) -> None:
         """The alarm is no longer latched; it stays while the leak is that large."""
         self.state[at.LATCHED] = 0.0

@@ -59,7 +59,7 @@ class ChangeDetector:
     def _leak(self, row: Any, before: int, now: int) -> Event:
         text = leak_text(row) if now else "no leak alarm any more" if before == ALARM else "no leak warning any more"
         return {
-            "severity": ("info", "warning", "alarm")[now],
+            "severity": ("info", "warning", "alarm")[min(now, ALARM)],
             "code": "leak",
             "active": bool(now),
             "leak": change_name(int(row["leak_kind"])),

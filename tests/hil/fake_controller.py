@@ -104,7 +104,8 @@ def run(spec: dict[str, Any]) -> dict[str, Any]:
         row = made_up(cycle)
         row["state"], row["command_seq"], row["command_result"] = state, seq, result
         if 0 <= leak_at <= cycle:
-            row["leak_alarm"], row["leak_channel"], row["leak_since_ns"] = 1, 2, leak_at * PERIOD_NS
+            row["leak_alarm"], row["leak_channel"], row["leak_since_ns"] = 2, 2, leak_at * PERIOD_NS
+            row["leak_kind"] = 2
         if ring.checkpoint_wanted:
             ring.write_checkpoint(made_up_checkpoint(cycle))
         ring.write(Kind.SNAPSHOT, row.view(np.uint8).data, made_up_inputs(cycle))

@@ -240,3 +240,16 @@ def test_shadow_mode_sends_nothing_and_takes_the_observed_command_as_input(rig: 
     )
     assert abs(shadow.snapshot["est_velocity_mps"] - bench.node.plant.state[1]) < 5e-3
     assert shadow.snapshot["leak_alarm"] == 0
+
+
+@pytest.mark.parametrize(("skipped", "found"), [(2, True), (30, False)])
+def test_a_leak_is_named_although_periods_are_skipped_now_and_then(rig: Rig, skipped: int, found: bool) -> None:
+    """A skipped period is a measurement that is missing; after 30 nobody knows what the valve did: nothing counts."""
+    bench = Bench(rig, LeakPlan(3.0, 1e-11, "internal"))
+    bench.active()
+    while bench.number < 4100:
+        bench.run(50)
+        bench.step(skipped=skipped)
+        assert bench.cycle.snapshot["state"] == DeviceState.ACTIVE
+    assert (bench.cycle.snapshot["leak_alarm"] == 2) == found
+    assert bench.cycle.snapshot["verdict"] == (0 if found else -1)

@@ -89,7 +89,7 @@ def test_both_filters_predict_over_a_gap(adaptive: Estimation) -> None:
     drive(adaptive, 50)
     before = adaptive.view.x.copy(), adaptive.diagnosis.twin.x
     u = np.array([3.0, 14e6, 0.9e6])
-    adaptive.predict(u, 30)
+    adaptive.predict(u, 30, moving=False)
     for after, old in zip((adaptive.view.x, adaptive.diagnosis.twin.x), before, strict=True):
         x = old
         for _ in range(30):

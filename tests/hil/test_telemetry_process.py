@@ -103,12 +103,14 @@ def test_events_snapshot_and_liveliness(tmp_path: Path) -> None:
         alive: list[zenoh.Sample] = []
         watch = rig.session.liveliness().declare_subscriber(f"{ROOT}/alive", alive.append, history=True)
         events, snapshots = rig.subscribe("event/**"), rig.subscribe("snapshot")
+        diagnoses = rig.subscribe("diagnosis")
         until(lambda: alive, "liveliness")
         assert alive[0].kind == zenoh.SampleKind.PUT
         until(lambda: any(str(e.key_expr).endswith("alarm/leak") for e in events), "the leak event")
         leak = json.loads(next(e for e in events if str(e.key_expr).endswith("alarm/leak")).payload.to_bytes())
         assert leak["cycle"] == 300 and leak["channel"] == 2 and leak["since_ns"] == 300 * PERIOD_NS
-        assert "pressure B" in leak["text"]
+        assert leak["leak"] == "external_b" and "chamber B" in leak["text"]
+        until(lambda: any(json.loads(data)["leak"] == "external_b" for data in payloads(diagnoses)), "the diagnosis")
         # late joiners ask for what was said before
         assert {e["code"] for e in rig.ask("event/**")} == {"state", "leak"}
         until(lambda: len(snapshots) >= 5, "five readable snapshots")
