@@ -19,7 +19,7 @@ class Limits:
     """
 
     tracking_rmse_m: float | None = 1e-3
-    leak_latency_s: float | None = 1.0
+    leak_latency_s: float | None = 1.5  # to its name: half a second, and what a stalled machine adds
     rate_tolerance: float | None = 0.05  # relative; every skipped period counts against the rate
 
 
