@@ -14,6 +14,7 @@ from servohil.control.laws import law
 from servohil.drivers.codec import Kind
 from servohil.estimators.health import DIVERGED, GATED, NOT_FINITE_INPUT, REPAIRED
 from servohil.estimators.leakage import residual_monitor
+from servohil.estimators.leakage.levels import ALARM
 from servohil.hil import assemble, events, parameters
 from servohil.hil.arena import Arena
 from servohil.hil.commands import Command, Result
@@ -34,7 +35,6 @@ HOLD, ACTIVE, INIT = int(DeviceState.HOLD), int(DeviceState.ACTIVE), int(DeviceS
 SENSOR_STALE, SECOND_COMMANDER, LEAK_ALARM = int(Event.SENSOR_STALE), int(Event.SECOND_COMMANDER), int(Event.LEAK_ALARM)
 BUS_OFF_EVENT: Final = int(Event.BUS_OFF)
 OWN_ID: Final = int(Kind.OWN_ID)
-LEAK_ALARM_LEVEL: Final = 2
 FILTER_TROUBLE: Final = GATED | REPAIRED | NOT_FINITE_INPUT | DIVERGED
 
 (
@@ -255,7 +255,7 @@ class Cycle:
             self._estimation.forget_noise()
             if not doubt:
                 monitor.acknowledge()
-        return alarm == LEAK_ALARM_LEVEL
+        return alarm == ALARM
 
     def _enter(self, cycle: int) -> None:
         """The device state changed: every entry starts at the measured position, at rest, with a fresh law."""

@@ -27,12 +27,7 @@ FIELDS: Final[tuple[tuple[str, str, str, str], ...]] = (
     ("filter_status", "<i8", "1", "status code of the estimator's step"),
     ("filter_repairs", "<i8", "1", "estimator steps that were gated or repaired since the start"),
     ("leak_alarm", "<i8", "1", "0 none, 1 warning, 2 alarm (latched until acknowledged)"),
-    (
-        "leak_channel",
-        "<i8",
-        "bits",
-        "residuals beyond their threshold: 1 pressure A, 2 pressure B; latched as the alarm",
-    ),
+    ("leak_channel", "<i8", "bits", "residuals beyond their threshold, until explained: 1 pressure A, 2 pressure B"),
     ("leak_since_ns", "<i8", "ns", "t_ns of the warning or alarm, -1 without one"),
     ("command_seq", "<i8", "1", "sequence number of the last operator command or parameter change handled"),
     ("command_result", "<i8", "1", "its result (hil.commands.Result)"),

@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from servohil.estimators.leakage.changes import N_CHANGES
-from servohil.estimators.leakage.competition import lower_cholesky
+from servohil.estimators.leakage.competition import in_prior_units, lower_cholesky
 from servohil.estimators.leakage.information import RIGHT
 from servohil.estimators.linear_algebra.views import matrix_at
 
@@ -45,21 +45,7 @@ def absorb(record: Vector, theta: Vector, covariance: Matrix, work: Vector) -> b
     lj = matrix_at(work, C * C, C, C)
     inner = matrix_at(work, 2 * C * C, C, C)
     root = matrix_at(work, 3 * C * C, C, C)
-    if not lower_cholesky(covariance, factor):
-        return False
-    for i in range(C):
-        for k in range(C):
-            total = 0.0
-            for row in range(i, C):
-                total += factor[row, i] * j[row, k]
-            lj[i, k] = total
-    for i in range(C):
-        for k in range(i + 1):
-            total = 1.0 if i == k else 0.0
-            for row in range(C):
-                total += lj[i, row] * factor[row, k]
-            inner[i, k] = total
-    if not lower_cholesky(inner, root):
+    if not lower_cholesky(covariance, factor) or not in_prior_units(j, factor, lj, inner, root):
         return False
     # rows of lj <- root^-1 L': the new factor, transposed
     for i in range(C):

@@ -10,9 +10,8 @@ from typing import Final, NamedTuple
 from servohil.estimators.models.cylinder import BULK, CS, FRICTION, K_EA, K_EB, K_I, LOAD
 
 PARAMETER, INPUT, OUTPUT = range(3)  # what it moves
-ALWAYS, AGAINST_MOTION, AGAINST_OPENING = range(
-    3
-)  # as it is; times the sign of the velocity; times - sign of the valve
+# As it is; times the sign of the velocity; times minus the sign of the valve's opening.
+ALWAYS, AGAINST_MOTION, AGAINST_OPENING = range(3)
 
 
 class Change(NamedTuple):

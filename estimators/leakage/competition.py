@@ -50,20 +50,8 @@ def lower_cholesky(matrix: Matrix, out: Matrix) -> bool:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def marginal(record: Vector, prior_factor: Matrix, work: Vector, w_diagonal: Vector, w_right: Vector) -> bool:
-    """Fill w_diagonal (C,) with W_jj and w_right (C,) with w. False: not to be computed; both are zero then.
-
-    Args:
-        record: information, J complete.
-        prior_factor: (C, C) lower factor L of P.
-        work: (WORK_SIZE,); its second C * C hold V with W = J - V'V, V = chol(I + L'JL)^-1 L'J.
-        w_diagonal, w_right: filled.
-    """
-    j = matrix_at(record, 0, C, C)
-    lj = matrix_at(work, 0, C, C)  # L'J
-    v = matrix_at(work, C * C, C, C)
-    inner = matrix_at(work, 2 * C * C, C, C)
-    root = matrix_at(work, 3 * C * C, C, C)
+def in_prior_units(j: Matrix, prior_factor: Matrix, lj: Matrix, inner: Matrix, root: Matrix) -> bool:
+    """Fill lj with L'J and root with the lower factor of inner = I + L'JL, all (C, C); L is lower. False: no factor."""
     for i in range(C):
         for k in range(C):
             lj[i, k] = 0.0
@@ -78,7 +66,25 @@ def marginal(record: Vector, prior_factor: Matrix, work: Vector, w_diagonal: Vec
             for k in range(min(i, row) + 1):
                 inner[i, k] += lj[i, row] * prior_factor[row, k]
         inner[i, i] += 1.0
-    if not lower_cholesky(inner, root):
+    return lower_cholesky(inner, root)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def marginal(record: Vector, prior_factor: Matrix, work: Vector, w_diagonal: Vector, w_right: Vector) -> bool:
+    """Fill w_diagonal (C,) with W_jj and w_right (C,) with w. False: not to be computed; both are zero then.
+
+    Args:
+        record: information, J complete.
+        prior_factor: (C, C) lower factor L of P.
+        work: (WORK_SIZE,); its second C * C hold V with W = J - V'V, V = chol(I + L'JL)^-1 L'J.
+        w_diagonal, w_right: filled.
+    """
+    j = matrix_at(record, 0, C, C)
+    lj = matrix_at(work, 0, C, C)  # L'J
+    v = matrix_at(work, C * C, C, C)
+    inner = matrix_at(work, 2 * C * C, C, C)
+    root = matrix_at(work, 3 * C * C, C, C)
+    if not in_prior_units(j, prior_factor, lj, inner, root):
         for i in range(C):
             w_diagonal[i] = 0.0
             w_right[i] = 0.0

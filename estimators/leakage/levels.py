@@ -65,12 +65,8 @@ def update_levels(arena: Vector, settings: Vector, p: Vector, x: Vector) -> None
         if level > highest or (level == highest and level > NONE and flow > largest):
             highest, largest = level, flow
             arena[at.LEAK] = j
-    if highest > NONE and arena[at.LEVEL] == NONE and arena[at.LATCHED] == 0.0:
-        named_now = arena[at.VERDICT] == arena[at.LEAK]
-        arena[at.LEAK_SINCE] = arena[at.VERDICT_ONSET] if named_now else arena[at.CYCLES]
     if highest == ALARM and arena[at.LEVEL] < ALARM:  # by its edge: what was acknowledged ends with its cause
         arena[at.LATCHED] = 1.0
     arena[at.LEVEL] = highest
     if highest == NONE and arena[at.LATCHED] == 0.0:
         arena[at.LEAK] = -1.0
-        arena[at.LEAK_SINCE] = -1.0

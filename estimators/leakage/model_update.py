@@ -21,7 +21,7 @@ def start(arena: Vector, settings: Vector) -> None:
     forget(arena, settings)
     arena[at.MODE] = at.LEARNING if settings[at.LEARN_STEPS] > 0 else at.WATCHING
     arena[at.SCALE] = 1.0
-    for word in (at.SCAN_AGE, at.ONSET, at.VERDICT, at.VERDICT_ONSET, at.VERDICT_AT, at.LEAK, at.LEAK_SINCE):
+    for word in (at.SCAN_AGE, at.ONSET, at.VERDICT, at.VERDICT_ONSET, at.VERDICT_AT, at.LEAK):
         arena[word] = -1.0
 
 

@@ -5,12 +5,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.hil.diagnosis_words import LEAKS, change_name, leak_text, verdict_text
+from servohil.hil.diagnosis_words import LEAKS, LEVELS, change_name, leak_text, verdict_text
 from servohil.hil.telemetry.schema import FAULT_STATES, state_name
 
 Event = dict[str, Any]
 _WATCHED: Final = ("state", "leak_alarm", "fault", "verdicts")
-ALARM: Final = 2  # of leak_alarm
+ALARM: Final = LEVELS.index("alarm")
 DIAGNOSED: Final = ("leak", "change")  # codes of events that come from the diagnosis
 
 

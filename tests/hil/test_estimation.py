@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from bench_rig import write_rig
 
+from servohil.estimators.leakage.diagnosis import DiagnosisSettings
 from servohil.hil import assemble
 from servohil.hil.config import load_rig
 from servohil.hil.estimation import Estimation
@@ -96,3 +97,8 @@ def test_both_filters_predict_over_a_gap(adaptive: Estimation) -> None:
             x = adaptive.filter.model.advance(x, u)
         np.testing.assert_allclose(after, x, rtol=1e-3)
         assert after[0] > old[0]
+
+
+def test_the_rig_file_and_the_diagnosis_have_the_same_defaults(tmp_path: Path) -> None:
+    rig = load_rig(write_rig(tmp_path, {'warn_m3_per_s = "0.05 l/min"': "", 'alarm_m3_per_s = "0.3 l/min"': ""}))
+    assert assemble.diagnosis_settings(rig) == DiagnosisSettings(settle_s=rig.leakage.settle_s)
