@@ -12,6 +12,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from servohil.control.laws.law import STATE_SIZE
 from servohil.estimators.leakage import layout as at
 from servohil.estimators.leakage.changes import N_LEAKS
 from servohil.hil import assemble
@@ -29,7 +30,6 @@ GAIN_OFF, BULK_OFF, FRICTION_OFF, NULL_OFF_V = 0.1, 0.15, 0.3, 0.1
 BASELINE_INTERNAL, BASELINE_EXTERNAL = 2e-13, 0.5e-13
 DRIFTS: Final = (0.02, 0.05, 0.2, 0.005, 0.02)  # gain, bulk, friction, supply: shares; null V; amplitudes of sines
 DRIFT_PERIOD_S: Final = (600.0, 2400.0)
-LAW_STATE: Final = 5
 
 
 class EvaluationError(ValueError):
@@ -100,7 +100,7 @@ class LeakageBench:
         self._filter_step, self._diagnosis_step, self._table = control._step, diagnosis._step, diagnosis._table
         std, process = node.sensor_std, node.process_std
         self._parts = _Parts(
-            clock=np.zeros(1), x=start.copy(), command=np.zeros(1), law=np.zeros(LAW_STATE),
+            clock=np.zeros(1), x=start.copy(), command=np.zeros(1), law=np.zeros(STATE_SIZE),
             fault=np.array([0.0, 0.0, -1.0, 0.0, 0.0]),
             motion=np.array([reference.offset_m, *(motion or (reference.amplitude_m, reference.omega_rad_per_s))]),
             noise=np.array([

@@ -23,6 +23,7 @@ Matrix = NDArray[np.float64]
 
 _f = njit(nogil=True, cache=True, error_model="numpy")(truth.f)
 GAIN, BULK_DRIFT, FRICTION_DRIFT, SUPPLY_DRIFT, NULL_DRIFT, N_DRIFTS = range(6)
+POSITION_STEP_M, PRESSURE_STEP_PA, VOLTAGE_STEP_V = 1e-6, 1e3, 1e-3  # what a bit of the DBC is worth
 N_TRUTH: Final = 25
 # What a fault moves: a parameter of the plant (its index), or one of these.
 NULL_V, SUPPLY_PA, SENSOR_A_PA, SENSOR_B_PA = range(100, 104)
@@ -136,12 +137,12 @@ def run(
         x[1] += noise[0] * rng.standard_normal()
         x[2] += noise[1] * 1e-6 * rng.standard_normal()
         x[3] += noise[1] * 1e-6 * rng.standard_normal()
-        y[0] = _quantised(x[0] + noise[2] * rng.standard_normal(), 1e-6)
-        y[1] = 1e-6 * _quantised(x[2] * 1e6 + bias_a + noise[3] * rng.standard_normal(), 1e3)
-        y[2] = 1e-6 * _quantised(x[3] * 1e6 + bias_b + noise[4] * rng.standard_normal(), 1e3)
-        measured_u[0] = _quantised(spool + noise[7] * rng.standard_normal(), 1e-3)
-        measured_u[1] = _quantised(supply + noise[5] * rng.standard_normal(), 1e3)
-        measured_u[2] = _quantised(noise[10] + noise[6] * rng.standard_normal(), 1e3)
+        y[0] = _quantised(x[0] + noise[2] * rng.standard_normal(), POSITION_STEP_M)
+        y[1] = 1e-6 * _quantised(x[2] * 1e6 + bias_a + noise[3] * rng.standard_normal(), PRESSURE_STEP_PA)
+        y[2] = 1e-6 * _quantised(x[3] * 1e6 + bias_b + noise[4] * rng.standard_normal(), PRESSURE_STEP_PA)
+        measured_u[0] = _quantised(spool + noise[7] * rng.standard_normal(), VOLTAGE_STEP_V)
+        measured_u[1] = _quantised(supply + noise[5] * rng.standard_normal(), PRESSURE_STEP_PA)
+        measured_u[2] = _quantised(noise[10] + noise[6] * rng.standard_normal(), PRESSURE_STEP_PA)
         filter_step(filter_arena, filter_work, configured, measured_u, y)
         diagnosis_step(arena, work, settings, twin, twin_work, configured, measured_u, y, table, True)
         t = now * dt
@@ -162,7 +163,7 @@ def run(
                 law_state, gains, error, reference, jerk[0], jerk[1], jerk[2], max(-10.0, command[0] - 2.0),
                 min(10.0, command[0] + 2.0), dt,
             ),
-            1e-3,
+            VOLTAGE_STEP_V,
         )  # fmt: skip
         if log.shape[0] > 0 and (k + 1) % every == 0:
             row = (k + 1) // every - 1

@@ -9,6 +9,8 @@ import pytest
 from bench_rig import ROOT
 from click.testing import CliRunner
 
+from servohil.drivers.dbc import load_messages
+from servohil.hil import assemble
 from servohil.hil.cli import main
 from servohil.hil.config import load_rig
 from servohil.sim_bench.campaign_table import read_table, write_table
@@ -35,7 +37,13 @@ from servohil.sim_bench.evaluations.leakage_faults import (
 )
 from servohil.sim_bench.evaluations.leakage_figures import draw_all, exceedance
 from servohil.sim_bench.evaluations.leakage_healthy import counted, healthy, longer_windows, tail
-from servohil.sim_bench.evaluations.leakage_loop import PRESSURE_A, PRESSURE_B
+from servohil.sim_bench.evaluations.leakage_loop import (
+    POSITION_STEP_M,
+    PRESSURE_A,
+    PRESSURE_B,
+    PRESSURE_STEP_PA,
+    VOLTAGE_STEP_V,
+)
 from servohil.sim_bench.evaluations.leakage_page import FIGURES, leakage_tables
 
 
@@ -215,3 +223,14 @@ def test_every_case_is_known_and_quick_takes_no_numbers() -> None:
     assert set(LIMITS) <= set(STEP_SIZES) and one_case.__module__ == leakage.__name__
     result = CliRunner().invoke(main, ["evaluate", "leakage", "--quick", "--runs", "3"])
     assert result.exit_code == 2 and "--runs: --quick has its own" in result.output
+
+
+def test_the_loop_quantises_as_the_dbc_says() -> None:
+    rig = load_rig(RIG)
+    tables = load_messages(rig.dbc_path, assemble._protections(rig), list(rig.bus.messages))
+    gain = {f"{table.name}.{signal.name}": signal.gain for table in tables for signal in table.signals}
+    signals = rig.signals
+    assert gain[signals.position] == pytest.approx(POSITION_STEP_M)
+    for name in (signals.pressure_a, signals.pressure_b, signals.supply, signals.tank):
+        assert gain[name] == pytest.approx(PRESSURE_STEP_PA)
+    assert gain[signals.spool] == gain[signals.command] == pytest.approx(VOLTAGE_STEP_V)
