@@ -86,6 +86,11 @@ def process_covariance(rig: Rig, std: ProcessNoise | TwinNoise) -> NDArray[np.fl
     return np.diag(per_ms**2) * (rig.loop.period_ns / NS_PER_S / NOISE_PERIOD_S)
 
 
+def measurement_covariance(std: MeasurementNoise) -> NDArray[np.float64]:
+    """R in the filter's units (m, MPa, MPa)."""
+    return np.diag(np.square([std.position_m, std.pressure_a_pa / PA_PER_MPA, std.pressure_b_pa / PA_PER_MPA]))
+
+
 def build_model(rig: Rig) -> Model:
     """The estimator's process model: the rig's cylinder at the rig's rate."""
     dt = rig.loop.period_ns / NS_PER_S
@@ -131,7 +136,7 @@ def build_diagnosis(rig: Rig, arena: NDArray[np.float64]) -> Diagnosis:
     """The leakage diagnosis with a filter of its own, living in `arena`. Raises DiagnosisError."""
     measured = rig.leakage.measurement_std or rig.estimator.measurement_std
     return Diagnosis(
-        build_model(rig), process_covariance(rig, rig.leakage.process_std), _measurement_covariance(measured),
+        build_model(rig), process_covariance(rig, rig.leakage.process_std), measurement_covariance(measured),
         diagnosis_settings(rig), arena,
     )  # fmt: skip
 
@@ -149,15 +154,11 @@ def _filter_start(rig: Rig) -> dict[str, Any]:
         "x0": np.zeros(cylinder.N_STATES),
         "P0": np.diag(np.square(p0)),
         "Q": process_covariance(rig, estimator.process_std),
-        "R": _measurement_covariance(measured),
+        "R": measurement_covariance(measured),
         "alpha": estimator.alpha,
         "beta": estimator.beta,
         "kappa": estimator.kappa,
     }
-
-
-def _measurement_covariance(std: MeasurementNoise) -> NDArray[np.float64]:
-    return np.diag(np.square([std.position_m, std.pressure_a_pa / PA_PER_MPA, std.pressure_b_pa / PA_PER_MPA]))
 
 
 def build_profile(rig: Rig) -> Profile:

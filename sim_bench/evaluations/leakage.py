@@ -21,6 +21,7 @@ from servohil.sim_bench.evaluations.leakage_faults import (
     DIFFERENCES,
     LEAK_NAMES,
     SETTINGS,
+    index_faults,
     main_faults,
     more_faults,
     roc_faults,
@@ -28,12 +29,13 @@ from servohil.sim_bench.evaluations.leakage_faults import (
     silent_faults,
 )
 from servohil.sim_bench.evaluations.leakage_healthy import HOURS_PER_RUN, healthy, healthy_claims
+from servohil.sim_bench.evaluations.leakage_switching import switching_rows
 
 Table = Mapping[str, NDArray[Any]]
 
 RIG: Final = DEFAULT_RIG.parent / "leakage.toml"
 SEED: Final = 1
-MAIN, MORE, SILENT, HEALTHY = "main", "more", "silent", "healthy"
+MAIN, MORE, SILENT, INDEX, HEALTHY = "main", "more", "silent", "index", "healthy"
 MORE_SHARE: Final = 4  # of the runs, one in so many has the other onsets, more noise, or leaks and a sensor less;
 SETTING_SHARE: Final = 10  # one in so many is done in each of the other settings, or has other faults and a sensor less
 SIZED_WITHIN: Final = 0.15
@@ -65,7 +67,7 @@ class Extent:
         found = grid(part=(MAIN,), run=range(self.runs))
         if self.settings:
             found += grid(part=(MORE,), run=range(-(-self.runs // MORE_SHARE)))
-            found += grid(part=(SILENT, *SETTINGS), run=range(-(-self.runs // SETTING_SHARE)))
+            found += grid(part=(SILENT, INDEX, *SETTINGS), run=range(-(-self.runs // SETTING_SHARE)))
         return found + grid(part=(HEALTHY,), run=range(max(1, round(self.healthy_hours / HOURS_PER_RUN))))
 
 
@@ -79,6 +81,9 @@ def one_case(case: dict[str, Any], rng: np.random.Generator) -> list[dict[str, A
     part = case["part"]
     if part == HEALTHY:
         return healthy(LeakageBench(rig, truth).commission(), HOURS_PER_RUN)
+    if part == INDEX:
+        bench = LeakageBench(rig, truth).commission()
+        return switching_rows(bench, rig, rng.uniform(size=len(index_faults(part))))
     plant, motion = SETTINGS.get(part, ({}, None))
     bench = LeakageBench(rig, truth, plant, motion).commission()
     lists = {MAIN: main_faults, MORE: more_faults, SILENT: silent_faults}

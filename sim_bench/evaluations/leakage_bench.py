@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servohil.control.laws.law import STATE_SIZE
+from servohil.estimators.arena import arena_offsets
 from servohil.estimators.leakage import layout as at
 from servohil.estimators.leakage.changes import N_LEAKS
+from servohil.estimators.leakage.corrected import correct
 from servohil.hil import assemble
 from servohil.hil.config import Rig
 from servohil.hil.config.reference import SineReference
@@ -163,6 +165,19 @@ class LeakageBench:
     def word(self, place: int) -> float:
         """A word of the diagnosis' arena, see `layout`."""
         return float(self._parts.arena[place])
+
+    def learnt_model(self) -> tuple[Vector, Vector, Vector]:
+        """(14,) parameters, (3,) what to add to the inputs and (3,) to the outputs, as commissioning found them."""
+        p, u, y = self._configured.copy(), np.zeros(3), np.zeros(3)
+        correct(self._table, self._parts.arena[at.KNOWN : at.KNOWN + at.C], 0.0, p, u, y)
+        return p, u, y
+
+    def twin_estimate(self) -> tuple[Vector, Matrix]:
+        """(4,) what the diagnosis' filter says of the state now, m, m/s, MPa, and its covariance (4, 4)."""
+        twin = self._parts.arena[at.ARENA_SIZE :]
+        x, factor = arena_offsets(4, 3)[:2]
+        upper = twin[factor : factor + 16].reshape(4, 4)
+        return twin[x : x + 4].copy(), upper.T @ upper
 
     def configured(self, parameter: int) -> float:
         """What controller and diagnosis believe."""

@@ -48,6 +48,7 @@ class Fault(NamedTuple):
 
 STEP_SIZES: Final = (1.0, 0.5, 0.25, 0.1, 0.05, 0.02)  # L/min
 ROC_SIZES: Final = (0.02, 0.01, 0.005)
+INDEX_SIZES: Final = (1.0, 0.5, 0.25, 0.1)
 RAMP_LPM, RAMP_S = 0.5, 60.0
 DIFFERENCES: Final = {
     "valve gain +5 %": (CS, 0.05, "valve_gain", True),
@@ -109,6 +110,11 @@ def silent_faults() -> list[Fault]:
 def roc_faults() -> list[Fault]:
     """Leaks so small that they are found or not."""
     return [leak("roc", kind, lpm) for lpm in ROC_SIZES for kind in range(N_LEAKS)]
+
+
+def index_faults(group: str) -> list[Fault]:
+    """Leaks that P2's switching index is asked for."""
+    return [leak(group, kind, lpm) for lpm in INDEX_SIZES for kind in range(N_LEAKS)]
 
 
 # Truths that the model cannot say, and other motions: (parameters of the plant, motion); leaks of 0.25 L/min in each.

@@ -28,7 +28,9 @@ N_TRUTH: Final = 25
 # What a fault moves: a parameter of the plant (its index), or one of these.
 NULL_V, SUPPLY_PA, SENSOR_A_PA, SENSOR_B_PA = range(100, 104)
 # Columns of the log: ratio, mode, verdict, amounts in the model, then these.
-ERROR_M, PRESSURE_A, PRESSURE_B, LOG_COLUMNS = range(3 + at.C, 7 + at.C)
+ERROR_M, PRESSURE_A, PRESSURE_B, MEASURED_U = range(3 + at.C, 7 + at.C)
+MEASURED_Y: Final = MEASURED_U + 3
+LOG_COLUMNS: Final = MEASURED_Y + 3
 _VECTOR: Final = types.float64[::1]
 _ROWS: Final = types.float64[:, ::1]
 # Spelt out, so that what is compiled is found on disk again: the type of a filter's step would be a new one each time.
@@ -80,7 +82,8 @@ def run(
         rng: np.random.Generator.
         filter_step, filter_arena, filter_work: of the control filter.
         diagnosis_step .. table: of the diagnosis.
-        log: (rows, LOG_COLUMNS) filled every steps // rows; pressures are the true ones, MPa.
+        log: (rows, LOG_COLUMNS) filled every steps // rows; pressures are the true ones, MPa; the last six are what
+            filter and diagnosis are given.
     """
     dt = 1e-3
     p = np.empty(N_TRUTH)
@@ -176,3 +179,6 @@ def run(
                 log[row, ERROR_M] = x[0] - reference[0]
                 log[row, PRESSURE_A] = x[2]
                 log[row, PRESSURE_B] = x[3]
+                for i in range(3):
+                    log[row, MEASURED_U + i] = measured_u[i]
+                    log[row, MEASURED_Y + i] = y[i]

@@ -9,8 +9,16 @@ from numpy.typing import NDArray
 from servohil.hil.claims import Claim
 from servohil.hil.claims_page import value_text
 from servohil.sim_bench.evaluations.leakage import Table, median_s, of_fault
-from servohil.sim_bench.evaluations.leakage_faults import DIFFERENCES, LEAK_NAMES, SETTINGS, SILENT, STEP_SIZES
+from servohil.sim_bench.evaluations.leakage_faults import (
+    DIFFERENCES,
+    INDEX_SIZES,
+    LEAK_NAMES,
+    SETTINGS,
+    SILENT,
+    STEP_SIZES,
+)
 from servohil.sim_bench.evaluations.leakage_healthy import counted, tail
+from servohil.sim_bench.evaluations.leakage_switching import HEALTHY_S, WINDOWS, group_of
 
 SMALL: Final = tuple(f"{kind} 0.25" for kind in LEAK_NAMES)
 FIGURES: Final = {
@@ -38,7 +46,7 @@ def leakage_tables(claims: Sequence[Claim], table: Table) -> str:
     for group in SILENT:
         lines += [f"**Pressure sensor {group[-1]} silent**", ""]
         lines += _others(table, [(group, name) for name in ("none", *SMALL, *DIFFERENCES)])
-    lines += _settings(table)
+    lines += _settings(table) + _switching(table)
     lines += [f"![{text}]({name})\n" for name, text in list(FIGURES.items())[2:]]
     lines += _healthy(table)
     limits = [c for c in claims if c.limit]
@@ -123,6 +131,22 @@ def _settings(table: Table) -> list[str]:
             _percent(~_none(rows["right_s"])), str(wrong), _sizes(rows["error"]),
         )  # fmt: skip
         lines.append(f"| {' | '.join(cells)} |")
+    return [*lines, ""]
+
+
+def _switching(table: Table) -> list[str]:
+    if not (table["group"] == group_of(WINDOWS[0])).any():
+        return []
+    lines = [
+        f"**P2's switching index** at a threshold of its largest value in {HEALTHY_S / 60.0:g} healthy minutes", "",
+        "| leak | L/min | " + " | ".join(f"window {window:g}: after | in % of the runs" for window in WINDOWS) + " |",
+        "|---|---:|" + "---:|---:|" * len(WINDOWS),
+    ]  # fmt: skip
+    for kind in LEAK_NAMES:
+        for size in INDEX_SIZES:
+            found = [of_fault(table, group_of(w), f"{kind} {size:g}")["detected_s"] for w in WINDOWS]
+            cells = [cell for times in found for cell in (_times(times), _percent(~_none(times)))]
+            lines.append(f"| {kind} | {size:g} | {' | '.join(cells)} |")
     return [*lines, ""]
 
 
