@@ -7,6 +7,7 @@ read in three ways; see `INNOVATION`, `CORRECTED`, `POSITION_ALONE`.
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
+from threading import local
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from servohil.estimators import ASRUKF, SRUKF
 from servohil.estimators.filter import Filter
 from servohil.estimators.models.cylinder import PA_PER_MPA
+from servohil.estimators.trajectory import Trajectory
 from servohil.sim_bench import noise_scenarios
 from servohil.sim_bench.experiments.experiment import Data, Matrix
 from servohil.sim_bench.experiments.p1_cylinder import P0, X0
@@ -108,28 +110,60 @@ class Detector(NamedTuple):
             return ASRUKF(model, X0, P0, q0, r0)
         return SRUKF(model, X0, P0, q0, r0)
 
-    def residuals(self, data: Data) -> Matrix:
-        """(N, 2) measured - estimated pressures of A and B, Pa."""
+    def path(self, data: Data) -> Trajectory:
+        """The filter's run over the data."""
         known = {}
         if self.filter == RIGHT:
             for name, variances in (("Q", data.q), ("R", data.r[:, : self.outputs])):
                 known[name] = np.einsum("ki,ij->kij", variances, np.eye(variances.shape[1]))
-        path = self.new_filter().run(data.inputs, data.samples[:, : self.outputs], **known)
+        return self.new_filter().run(data.inputs, data.samples[:, : self.outputs], **known)
+
+    def residuals(self, data: Data) -> Matrix:
+        """(N, 2) measured - estimated pressures of A and B, Pa."""
+        path = _PATHS.of(self, data)
         found = path.innovation[:, 1:] if self.reading == INNOVATION else data.samples[:, 1:] - path.x[:, 2:]
         return np.asarray(PA_PER_MPA * found)
 
 
+class _Paths(local):
+    """The last run of each thread: two readings look at the same one."""
+
+    run: tuple[Condition, str, int] | None = None
+    data: Data | None = None
+    path: Trajectory
+
+    def of(self, detector: Detector, data: Data) -> Trajectory:
+        run = detector.condition, detector.filter, detector.outputs
+        if self.run != run or self.data is not data:
+            self.path = detector.path(data)
+            self.run, self.data = run, data
+        return self.path
+
+
+_PATHS: Final = _Paths()
+
+
 @cache
+def _largest_fault_free(condition: Condition, filter: str, outputs: int) -> dict[str, Matrix]:
+    """(2,) largest residuals of A and B, Pa, in fault-free runs, by the readings of a filter of so many outputs."""
+    readings = [Detector(condition, filter, reading) for reading in READINGS]
+    readings = [detector for detector in readings if detector.outputs == outputs]
+    largest = {detector.reading: np.zeros(2) for detector in readings}
+    for seed in FAULT_FREE_SEEDS:
+        data = condition.fault_free(seed)
+        for detector in readings:
+            here = np.abs(detector.residuals(data)[START:]).max(axis=0)
+            largest[detector.reading] = np.maximum(largest[detector.reading], here)
+    return largest
+
+
 def thresholds(detector: Detector) -> tuple[float, float]:
     """Of A and B, Pa: P1's, or a margin above the largest residual of fault-free runs."""
     printed = detector.condition.threshold_pa
     if printed is not None:
         return printed, printed
-    largest = [
-        np.abs(detector.residuals(detector.condition.fault_free(seed))[START:]).max(axis=0)
-        for seed in FAULT_FREE_SEEDS
-    ]  # fmt: skip
-    a, b = MARGIN * np.max(largest, axis=0)
+    largest = _largest_fault_free(detector.condition, detector.filter, detector.outputs)[detector.reading]
+    a, b = MARGIN * largest
     return float(a), float(b)
 
 
@@ -142,5 +176,5 @@ def judged(detector: Detector, data: Data) -> Matrix:
 def detectors(condition: Condition) -> dict[str, Callable[[], Detector]]:
     """All filters in all readings, by their name on the page."""
     return {
-        f"{name}: {reading}": partial(Detector, condition, name, reading) for reading in READINGS for name in FILTERS
+        f"{name}: {reading}": partial(Detector, condition, name, reading) for name in FILTERS for reading in READINGS
     }
