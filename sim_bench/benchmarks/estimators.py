@@ -150,7 +150,8 @@ def estimators_claims(quick: bool, tick: Tick) -> list[Claim]:
         claims = []
         for case, title in ((four, "n = 4, m = 3, RK4"), (eleven_states(STEPS), "n = 11, m = 3, RK4")):
             claims += _case_claims(case, f"{command}; {title}", 15 if quick else 80, folder, limits, count_up)
-        claims += _start_claims(command, folder / "cache", limits, count_up)
+        if not quick:  # half a minute of compilation
+            claims += _start_claims(command, folder / "cache", limits, count_up)
     return [*claims, _allocation_claim(four, command)]
 
 

@@ -34,6 +34,7 @@ def nominal_motion():
     return pump_motion(2000, 0)
 
 
+@pytest.mark.nightly
 def test_equals_the_text_with_hidden_states_mixed_outputs_and_gaps():
     system = four_states()
     inputs, outputs, _ = linear_motion(system, 300, 1, missing=0.2)

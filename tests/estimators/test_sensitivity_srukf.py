@@ -220,6 +220,7 @@ def jump(seed, **changes):
     return ukf, np.array(seen)
 
 
+@pytest.mark.nightly
 def test_one_link_robot_holds_still_and_changes_its_parameters():
     """P4 section 4.1: the arm is held, friction and mass are four times as large from then on, and it moves again."""
     ukf, (before, held, stopped, _) = jump(0)

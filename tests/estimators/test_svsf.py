@@ -60,6 +60,7 @@ def test_equals_the_text_with_hidden_states_mixed_outputs_and_gaps(layers):
         np.testing.assert_allclose(svsf.output_error, plain.left, atol=1e-9)
 
 
+@pytest.mark.nightly
 def test_equals_the_text_on_the_actuator_with_friction():
     inputs, samples, _ = pump_motion(600, 3, ((0, FRICTION),))
     samples[200:230] = NAN

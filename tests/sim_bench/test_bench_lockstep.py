@@ -48,6 +48,7 @@ def snapshots(recording: Path) -> NDArray[Any]:
     return np.frombuffer(b"".join(cycles), dtype=SNAPSHOT)
 
 
+@pytest.mark.nightly
 def test_an_adaptive_filter_finds_the_noise_and_tracks_better_until_the_leak(
     adaptive: tuple[Path, dict[str, Any]], runs: list[tuple[Path, dict[str, Any]]]
 ) -> None:
@@ -66,6 +67,7 @@ def test_an_adaptive_filter_finds_the_noise_and_tracks_better_until_the_leak(
         assert 0.0 < before[f"measurement_doubt_{name}"] < 0.2
 
 
+@pytest.mark.nightly
 def test_a_leak_is_found_beside_an_adaptive_filter_which_then_goes_back_to_the_configured_noise(
     adaptive: tuple[Path, dict[str, Any]], runs: list[tuple[Path, dict[str, Any]]]
 ) -> None:

@@ -188,11 +188,11 @@ def test_a_law_that_gives_what_cannot_be_sent_ends_the_run_and_too_much_is_cut()
 
 
 NIGHTLY_PLANTS = [
-    pytest.param(name, marks=pytest.mark.nightly) for name in ("two_link_arm", "three_link_arm", "pendubot")
+    pytest.param(name, marks=pytest.mark.nightly) for name in ("eha", "two_link_arm", "three_link_arm", "pendubot")
 ]
 
 
-@pytest.mark.parametrize("name", ["eha", "one_link_arm", *NIGHTLY_PLANTS])  # a filter to compile for each
+@pytest.mark.parametrize("name", ["one_link_arm", *NIGHTLY_PLANTS])  # a filter to compile for each
 def test_every_plant_of_the_papers_runs_on_the_bus(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     arguments = ["bench", name, "--lockstep", "--duration", "2", "--json", "found.json"]

@@ -20,9 +20,9 @@ import smoke
 CHECKOUT: Final = Path(__file__).resolve().parents[2]
 HIL: Final = str(Path(sys.executable).parent / "hil")
 RIG: Final = str(CHECKOUT / "rigs" / "vcan-vm.toml")
-LEAK_AT_S: Final = 12.0
+LEAK_AT_S: Final = 5.0
 BENCH: Final = [
-    HIL, "bench", RIG, "--rate", "50", "--duration", "20", "--leak-at", f"{LEAK_AT_S:g}", "--protocol-only",
+    HIL, "bench", RIG, "--rate", "50", "--duration", "9", "--leak-at", f"{LEAK_AT_S:g}", "--protocol-only",
 ]  # fmt: skip
 
 
