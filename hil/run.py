@@ -20,7 +20,7 @@ from servohil.hil.cycle import Cycle
 from servohil.hil.dry_run import dry_run
 from servohil.hil.loop import LoopResult, RealtimeLoop, final_words
 from servohil.hil.operator_script import OperatorScript
-from servohil.hil.pacer import Pacer
+from servohil.hil.pacer import NS_PER_S, Pacer
 from servohil.hil.realtime_setup import Step, make_realtime
 from servohil.hil.ring import RingWriter, capacity_for
 from servohil.hil.telemetry_child import TelemetryChild, telemetry_setup
@@ -107,13 +107,12 @@ def run_controller(rig: Rig, options: RunOptions, say: Say) -> RunSummary:
         )
         endpoint = child.wait_ready()
         say(f"telemetry: {endpoint}, process {child.pid}")
-        steps = make_realtime(rig.loop.priority)
+        steps = make_realtime(rig.loop.priority, rig.loop.processors)
         for step in steps:
             if not step.ok:
                 say(f"real time: {step.reason}")
-        loop = RealtimeLoop(
-            cycle, port, ring, Pacer(rig.loop.period_ns, rig.loop.phase), script, not options.listen_only, child.alive
-        )
+        pacer = Pacer(rig.loop.period_ns, rig.loop.phase, round(rig.loop.spin_s * NS_PER_S))
+        loop = RealtimeLoop(cycle, port, ring, pacer, script, not options.listen_only, child.alive)
         discard_old_frames(port)
         result = loop.run()
         telemetry = child.finish(final_words(result))

@@ -14,7 +14,7 @@ from servohil.hil.config.controller import Limits
 from servohil.hil.config.hydraulics import Cylinder, Plant
 from servohil.hil.config.problems import Problem
 from servohil.hil.config.reference_rules import reference_inside_limits
-from servohil.hil.config.rig import Bus, Loop, Signals, Telemetry
+from servohil.hil.config.rig import NS_PER_S, Bus, Loop, Signals, Telemetry
 
 DATA_IDS: Final = 16  # E2E profile 2: one per value of the 4-bit counter
 TIMEOUT_PERIODS: Final = 3  # one late and one lost command must not stop the valve
@@ -57,6 +57,11 @@ def _signals_have_messages(folder: Path, signals: Signals, bus: Bus) -> Iterator
             yield Problem(("signals", name), "used more than once; allowed: a signal of its own")
         if name in COMMAND_SIGNALS and message in received:
             yield Problem(("signals", name), f"{message} is received; allowed: a message that only we send")
+
+
+def _spins_for_less_than_a_period(folder: Path, loop: Loop) -> Iterator[Problem]:
+    if loop.spin_s * NS_PER_S >= loop.period_ns:
+        yield Problem(("loop", "spin_s"), f"must be below the period of {loop.rate_hz:g} Hz, {1 / loop.rate_hz:g} s")
 
 
 def _limits_in_order(folder: Path, limits: Limits) -> Iterator[Problem]:
@@ -125,6 +130,7 @@ RELATIONS: Final = (
     Relation(("bus",), _dbc_exists),
     Relation(("bus",), _data_ids),
     Relation(("signals", "bus"), _signals_have_messages),
+    Relation(("loop",), _spins_for_less_than_a_period),
     Relation(("limits",), _limits_in_order),
     Relation(("limits",), _ramp_within_slew),
     Relation(("control", "limits"), _dead_band_within_command),

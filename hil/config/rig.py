@@ -15,7 +15,7 @@ from servohil.hil.config.control import Control
 from servohil.hil.config.controller import Estimator, Leakage, Limits
 from servohil.hil.config.hydraulics import Cylinder, Plant
 from servohil.hil.config.reference import Reference, TrajectoryReference
-from servohil.hil.config.section import Positive, Section
+from servohil.hil.config.section import NonNegative, Positive, Section
 
 NS_PER_S = 1_000_000_000
 
@@ -26,6 +26,13 @@ class Loop(Section):
     rate_hz: Annotated[float, Field(ge=1.0, le=10_000.0)]
     phase: Annotated[float, Field(ge=0.0, lt=1.0)]  # of a period
     priority: Annotated[int, Field(ge=1, le=99)]  # SCHED_FIFO
+    processors: tuple[Annotated[int, Field(ge=0)], ...] = ()  # that the controller may use; none: all
+    spin_s: NonNegative = 0.0  # of a period: the last part of the wait, in which the processor is kept
+
+    @field_validator("processors", mode="before")
+    @classmethod
+    def _array(cls, value: object) -> object:
+        return tuple(value) if isinstance(value, list) else value
 
     @property
     def period_ns(self) -> int:

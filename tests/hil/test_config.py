@@ -152,6 +152,8 @@ ONE_LINE = [
     # ranges and choices
     (("rate_hz = 1000", "rate_hz = 10001"), "loop.rate_hz = 10001: must be less than or equal to 10000"),
     (("rate_hz = 1000", "rate_hz = 0.5"), "loop.rate_hz = 0.5: must be greater than or equal to 1"),
+    (("processors = []", "processors = [-1]"), "loop.processors[0] = -1: must be greater than or equal to 0"),
+    (('spin_s = "0 us"', 'spin_s = "1 ms"'), 'loop.spin_s = "1 ms": must be below the period of 1000 Hz, 0.001 s'),
     (("mass_kg = 270", "mass_kg = 0"), "cylinder.mass_kg = 0: must be greater than 0"),
     (("command_max_v = 10", "command_max_v = 11"), "limits.command_max_v = 11: must be less than or equal to 10"),
     (('e2e = "profile2"', 'e2e = "profile5"'), """bus.messages.Position.e2e = "profile5": must be 'profile2' or 'none'"""),

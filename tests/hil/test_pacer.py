@@ -55,6 +55,35 @@ def test_waiting_never_returns_early_and_measures_lateness() -> None:
         pacer.advance(now)
 
 
+def test_the_end_of_the_wait_is_spent_awake(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[float] = []
+    sleep = time.sleep
+    monkeypatch.setattr(time, "sleep", lambda seconds: (asked.append(seconds), sleep(seconds))[1])
+    pacer = Pacer(5 * PERIOD, 0.0, spin_ns=2 * PERIOD)
+    pacer.start(margin_ns=PERIOD)
+    before = time.monotonic_ns()
+    assert pacer.wait() >= pacer.deadline_ns
+    assert sum(asked) <= (pacer.deadline_ns - 2 * PERIOD - before) / 1e9 + 1e-3 * len(asked)
+    asked.clear()
+    assert sleep_until(time.monotonic_ns() + PERIOD, 2 * PERIOD) and asked == []
+
+
+def test_awake_it_goes_on_within_microseconds() -> None:
+    """The median; a machine that takes the processor away is late all the same."""
+    pacer, late = Pacer(PERIOD, 0.0, spin_ns=PERIOD // 2), []
+    pacer.start()
+    for _ in range(200):
+        pacer.advance(pacer.wait())
+        late.append(pacer.lateness_ns)
+    assert sorted(late)[100] < 20_000
+
+
+@pytest.mark.parametrize("spin_ns", [-1, PERIOD])
+def test_a_spin_is_shorter_than_a_period(spin_ns: int) -> None:
+    with pytest.raises(ValueError, match=f"spin_ns = {spin_ns}: must be >= 0 and below period_ns = {PERIOD}"):
+        Pacer(PERIOD, 0.0, spin_ns)
+
+
 def test_sleep_until_the_past_returns_at_once() -> None:
     before = time.monotonic_ns()
     assert sleep_until(before - PERIOD) - before < 50 * PERIOD
