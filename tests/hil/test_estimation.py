@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from bench_rig import write_rig
 
+from servohil.estimators.leakage import layout as at
 from servohil.estimators.leakage.diagnosis import DiagnosisSettings
 from servohil.hil import assemble
 from servohil.hil.config import load_rig
@@ -102,3 +103,14 @@ def test_both_filters_predict_over_a_gap(adaptive: Estimation) -> None:
 def test_the_rig_file_and_the_diagnosis_have_the_same_defaults(tmp_path: Path) -> None:
     rig = load_rig(write_rig(tmp_path, {'warn_m3_per_s = "0.05 l/min"': "", 'alarm_m3_per_s = "0.3 l/min"': ""}))
     assert assemble.diagnosis_settings(rig) == DiagnosisSettings(settle_s=rig.leakage.settle_s)
+
+
+def test_after_a_gap_in_which_the_valve_may_have_moved_the_diagnosis_settles_anew(tmp_path: Path) -> None:
+    plain = make(tmp_path, "srukf")
+    drive(plain, 3000)
+    settled = plain.diagnosis.state[at.SETTLED]
+    assert settled > 500
+    plain.predict(U, 10, True)  # 10 ms
+    assert plain.diagnosis.state[at.SETTLED] >= settled
+    plain.predict(U, 11, True)
+    assert plain.diagnosis.state[at.SETTLED] < settled  # not judged until the filter has forgotten

@@ -215,7 +215,7 @@ def test_figures_of_windows() -> None:
 
 def test_every_case_is_known_and_quick_takes_no_numbers() -> None:
     parts = {case["part"] for case in Extent(20, 2.0).cases()}
-    assert parts == {"main", "more", "silent", "healthy", *leakage.SETTINGS}
+    assert parts == {"main", "more", "silent", "index", "healthy", *leakage.SETTINGS}
     assert sum(case["part"] == "main" for case in Extent(20, 2.0).cases()) == 20
     faults = [*main_faults(), *more_faults(), *silent_faults()]
     assert len({(fault.group, fault.name) for fault in faults}) == len(faults)
