@@ -16,15 +16,19 @@ from servohil.hil.config.reference_rules import reference_inside_limits
 from servohil.hil.config.rig import Bus, Loop, Signals, Telemetry
 from servohil.hil.secure.endpoint import endpoint_problems
 
+DBC_BYTES: Final = 4 << 20
 DATA_IDS: Final = 16  # E2E profile 2: one per value of the 4-bit counter
 TIMEOUT_PERIODS: Final = 3  # one late and one lost command must not stop the valve
 COMMAND_SIGNALS: Final = ("command", "control_word")
 
 
-def _dbc_exists(folder: Path, bus: Bus) -> Iterator[Problem]:
+def _dbc_to_read(folder: Path, bus: Bus) -> Iterator[Problem]:
     path = folder / bus.dbc
     if not path.is_file():
         yield Problem(("bus", "dbc"), f"no such file: {path}; allowed: a DBC file, relative to the TOML file")
+    elif path.stat().st_size > DBC_BYTES:
+        text = f"{path}: {path.stat().st_size} bytes; allowed: at most {DBC_BYTES}"
+        yield Problem(("bus", "dbc"), text)
 
 
 def _data_ids(folder: Path, bus: Bus) -> Iterator[Problem]:
@@ -119,7 +123,7 @@ class Relation(NamedTuple):
 
 
 RELATIONS: Final = (
-    Relation(("bus",), _dbc_exists),
+    Relation(("bus",), _dbc_to_read),
     Relation(("bus",), _data_ids),
     Relation(("signals", "bus"), _signals_have_messages),
     Relation(("limits",), _limits_in_order),

@@ -7,9 +7,7 @@ from typing import Final
 LOOPBACK: Final = re.compile(r"tcp/127\.0\.0\.1:(\d{1,5})")
 # Zenoh reads settings behind `#` and `?`, mutual TLS off among them: a host and a port is all that may stand here.
 BEYOND: Final = re.compile(r"tls/(?:[A-Za-z0-9][A-Za-z0-9.-]*|\[[0-9A-Fa-f:.]+\]):(\d{1,5})")
-ALLOWED: Final = (
-    "must be tcp/127.0.0.1:PORT, or tls/HOST:PORT with credentials: other machines are served over TLS"
-)
+ALLOWED: Final = "must be tcp/127.0.0.1:PORT, or tls/HOST:PORT with credentials: other machines are served over TLS"
 
 
 def endpoint_problems(listen: str, credentials: str | None) -> Iterator[tuple[str, str]]:

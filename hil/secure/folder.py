@@ -1,9 +1,9 @@
-"""The folder of `hil secure`: the authority, credentials of the telemetry process, and a folder per person to hand over.
+"""The folder of `hil secure`: an authority, credentials of the telemetry process, a folder per person to hand over.
 
-authority/              stays with whoever lets people in, best off the rig PC
-telemetry/              on the rig PC: [telemetry] credentials
-people/NAME/            goes to NAME
-issued.json             who has been let in, and who no longer is
+authority/     stays with whoever lets people in, best off the rig PC
+telemetry/     on the rig PC: [telemetry] credentials
+people/NAME/   goes to NAME
+issued.json    who has been let in, and who no longer is
 """
 
 import json

@@ -69,6 +69,12 @@ def try_session(endpoint: str, **tls: Any) -> zenoh.Session | None:
         return None
 
 
+def shown(folder: Path) -> dict[str, Any]:
+    """What a client shows when it connects with certificate and key of `folder`."""
+    certificate, key = str(folder / "certificate.pem"), str(folder / "key.pem")
+    return {"connect_certificate": certificate, "connect_private_key": key, "enable_mtls": True}
+
+
 def test_without_credentials_there_is_no_session(rig: FakeRig, doors: Path) -> None:
     ours = {"root_ca_certificate": str(doors / "ours" / "telemetry" / "authority.pem")}
     assert try_session(rig.endpoint) is None
@@ -76,20 +82,17 @@ def test_without_credentials_there_is_no_session(rig: FakeRig, doors: Path) -> N
     assert try_session(rig.endpoint, **ours, enable_mtls=False) is None
     assert try_session(rig.endpoint.replace("tls/", "tcp/")) is None
     theirs, own = doors / "theirs" / "people" / "anna", doors / "ours" / "people" / "anna"
-    foreign = {
-        "connect_certificate": str(theirs / "certificate.pem"),
-        "connect_private_key": str(theirs / "key.pem"),
-        "enable_mtls": True,
-    }
-    assert try_session(rig.endpoint, **ours, **foreign) is None, "a certificate of another authority"
-    stolen = {**foreign, "connect_certificate": str(own / "certificate.pem")}
+    assert try_session(rig.endpoint, **ours, **shown(theirs)) is None, "a certificate of another authority"
+    stolen = {**shown(theirs), "connect_certificate": str(own / "certificate.pem")}
     assert try_session(rig.endpoint, **ours, **stolen) is None, "a certificate without its key"
     server = doors / "ours" / "telemetry"
-    own_server = {"connect_certificate": str(server / "certificate.pem"), "connect_private_key": str(server / "key.pem")}
+    own_server = {
+        "connect_certificate": str(server / "certificate.pem"),
+        "connect_private_key": str(server / "key.pem"),
+    }
     assert try_session(rig.endpoint, **ours, **own_server, enable_mtls=True) is None, "a server's certificate"
     # The same door with the right key in it opens, so that the refusals above are about the key.
-    own_person = {"connect_certificate": str(own / "certificate.pem"), "connect_private_key": str(own / "key.pem")}
-    let_in = try_session(rig.endpoint, **ours, **own_person, enable_mtls=True)
+    let_in = try_session(rig.endpoint, **ours, **shown(own))
     assert let_in is not None
     let_in.close()
 
