@@ -13,6 +13,7 @@ import pytest
 import zenoh
 from telemetry_rig import RIG, ROOT, FakeRig, until
 
+from servohil.hil.recording.reader import Event, Recording
 from servohil.hil.secure.access import People
 from servohil.hil.secure.folder import make_folder
 from servohil.hil.telemetry.rate_limit import COMMANDS_PER_S
@@ -39,7 +40,6 @@ def rig(doors: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[FakeR
         "listen": "tls/127.0.0.1:0",
         "credentials": str(doors / "ours" / "telemetry"),
         "parameters": PARAMETERS,
-        "recording": None,
     }
     person = doors / "ours" / "people" / "anna"
     with FakeRig(tmp_path_factory.mktemp("rig"), rate_hz=500.0, person=person, setup=setup) as running:
@@ -193,6 +193,16 @@ def test_an_operator_commands_under_the_own_name_only(rig: FakeRig) -> None:
         ("enable", "accepted"), ("k_sigma = 12.5 1/s", "accepted"), ("k_sigma = 51 1/s", "out_of_range"),
         ("estop", "accepted"), ("disable", "accepted"), ("k_sigma = 20 1/s", "accepted"),
     ]  # fmt: skip
+
+
+def test_who_commanded_stands_in_the_recording(rig: FakeRig) -> None:
+    assert rig.ask("by/anna/cmd/hold")[0]["ok"]
+
+    def recorded() -> list[tuple[Any, ...]]:
+        events = [item.content for item in Recording(rig.recording).items() if isinstance(item, Event)]
+        return [(e["sender"], e["proven"], e["command"]) for e in events if e["code"] == "command"]
+
+    until(lambda: ("anna", True, "hold") in recorded(), "the event in the recording")
 
 
 def test_a_flood_is_cut_and_the_estop_is_not(rig: FakeRig, doors: Path) -> None:

@@ -42,6 +42,7 @@ def rig_file(folder: Path, *lines: str) -> Path:
         "tls/rig",
         "tls/:7447",
         "tls/rig:7447#enable_mtls=false",
+        "tls/rig#enable_mtls=false:7447",
         "tls/rig:7447?prio=1",
         "tls/rig:7447#enable_mtls=false:1",
         "tcp/127.0.0.1:7447\ntcp/0.0.0.0:7447",
