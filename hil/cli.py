@@ -12,6 +12,7 @@ import click
 from servohil.hil.benchmark_cli import benchmark
 from servohil.hil.command_line import EXIT_REFUSED, RIG, load, new_folder, one_clear_line, plant_file, refuse_given
 from servohil.hil.evaluate_cli import evaluate
+from servohil.hil.secure_cli import secure
 
 LEAK_KIND = click.Choice(["internal", "external_a", "external_b"])
 
@@ -243,6 +244,7 @@ def reproduce(experiment: str, runs: int, out: Path, data: Path | None) -> None:
 
 main.add_command(benchmark)
 main.add_command(evaluate)
+main.add_command(secure)
 
 
 if __name__ == "__main__":

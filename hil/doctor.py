@@ -181,7 +181,12 @@ def judge(machine: Machine, needs: Needs) -> list[Check]:
 def run_doctor(rig: "Rig | None" = None) -> list[Check]:
     """Look at this machine and judge it for `rig`, or for the bench without one."""
     needs = Needs() if rig is None else needs_of(rig)
-    return judge(probe(needs), needs)
+    checks = judge(probe(needs), needs)
+    if rig is not None and rig.credentials_path is not None:
+        from servohil.hil.secure.doctor import credential_check
+
+        checks.append(credential_check(rig.credentials_path))
+    return checks
 
 
 def doctor_lines(checks: Iterable[Check]) -> list[str]:

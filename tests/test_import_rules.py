@@ -41,6 +41,7 @@ FILE_MAY_IMPORT = {
     "drivers/open_port.py": {"can"},
     "drivers/python_can_port.py": {"can"},
     "estimators/linear_algebra/reflection.py": {"llvmlite"},
+    "hil/secure/certificates.py": {"cryptography"},
     "hil/reference_profile.py": {"scipy"},  # the spline of a trajectory, at start-up
     "sim_bench/campaign_table.py": {"pyarrow"},
     "sim_bench/benchmarks/filterpy_peer.py": {"filterpy"},  # a peer where installed, else the row says so

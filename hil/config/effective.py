@@ -20,6 +20,8 @@ def effective_tables(rig: Rig, rate_hz: float | None = None, seed: int | None = 
         seed: one instead of the plant's.
     """
     tables: dict[str, Any] = rig.self_contained.model_dump(mode="json", exclude_none=True)
+    if rig.credentials_path is not None:  # these tables will stand in another folder
+        tables["telemetry"]["credentials"] = str(rig.credentials_path.absolute())
     if rate_hz is not None:
         ratio = rig.loop.rate_hz / rate_hz
         tables["loop"]["rate_hz"] = rate_hz

@@ -3,7 +3,6 @@
 A rule runs when every table it reads is valid by itself, so that one load names all mistakes that can be judged.
 """
 
-import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -15,17 +14,21 @@ from servohil.hil.config.hydraulics import Cylinder, Plant
 from servohil.hil.config.problems import Problem
 from servohil.hil.config.reference_rules import reference_inside_limits
 from servohil.hil.config.rig import NS_PER_S, Bus, Loop, Signals, Telemetry
+from servohil.hil.secure.endpoint import endpoint_problems
 
+DBC_BYTES: Final = 4 << 20
 DATA_IDS: Final = 16  # E2E profile 2: one per value of the 4-bit counter
 TIMEOUT_PERIODS: Final = 3  # one late and one lost command must not stop the valve
-LISTEN: Final = re.compile(r"tcp/127\.0\.0\.1:(\d{1,5})")
 COMMAND_SIGNALS: Final = ("command", "control_word")
 
 
-def _dbc_exists(folder: Path, bus: Bus) -> Iterator[Problem]:
+def _dbc_to_read(folder: Path, bus: Bus) -> Iterator[Problem]:
     path = folder / bus.dbc
     if not path.is_file():
         yield Problem(("bus", "dbc"), f"no such file: {path}; allowed: a DBC file, relative to the TOML file")
+    elif path.stat().st_size > DBC_BYTES:
+        text = f"{path}: {path.stat().st_size} bytes; allowed: at most {DBC_BYTES}"
+        yield Problem(("bus", "dbc"), text)
 
 
 def _data_ids(folder: Path, bus: Bus) -> Iterator[Problem]:
@@ -90,11 +93,9 @@ def _limits_inside_stroke(folder: Path, limits: Limits, cylinder: Cylinder) -> I
             yield Problem(("limits", name), f"must be within the stroke, 0..{cylinder.stroke_m} m")
 
 
-def _listens_on_loopback(folder: Path, telemetry: Telemetry) -> Iterator[Problem]:
-    match = LISTEN.fullmatch(telemetry.listen)
-    if match is None or int(match.group(1)) > 65535:
-        text = "must be tcp/127.0.0.1:PORT: other machines are not served"
-        yield Problem(("telemetry", "listen"), text)
+def _closed_to_strangers(folder: Path, telemetry: Telemetry) -> Iterator[Problem]:
+    for key, text in endpoint_problems(telemetry.listen, telemetry.credentials):
+        yield Problem(("telemetry", key), text)
 
 
 def _timeout_spans_periods(folder: Path, plant: Plant | None, loop: Loop) -> Iterator[Problem]:
@@ -127,7 +128,7 @@ class Relation(NamedTuple):
 
 
 RELATIONS: Final = (
-    Relation(("bus",), _dbc_exists),
+    Relation(("bus",), _dbc_to_read),
     Relation(("bus",), _data_ids),
     Relation(("signals", "bus"), _signals_have_messages),
     Relation(("loop",), _spins_for_less_than_a_period),
@@ -136,7 +137,7 @@ RELATIONS: Final = (
     Relation(("control", "limits"), _dead_band_within_command),
     Relation(("limits", "cylinder"), _limits_inside_stroke),
     Relation(("reference", "limits"), reference_inside_limits),
-    Relation(("telemetry",), _listens_on_loopback),
+    Relation(("telemetry",), _closed_to_strangers),
     Relation(("plant", "loop"), _timeout_spans_periods),
     Relation(("plant", "cylinder"), _plant_inside_stroke),
 )

@@ -100,8 +100,9 @@ class Signals(Section):
 class Telemetry(Section):
     """[telemetry]: the Zenoh end point of the telemetry process."""
 
-    listen: str
+    listen: str  # beyond loopback tls/HOST:PORT
     batch_s: Positive
+    credentials: Annotated[str, Field(min_length=1)] | None = None  # folder, relative to the TOML file; with TLS only
 
 
 class Recording(Section):
@@ -147,6 +148,12 @@ class Rig(Section):
         return self._path.parent / self.bus.dbc
 
     @property
+    def credentials_path(self) -> Path | None:
+        """Folder of the telemetry process's certificate, key and access control; None on loopback."""
+        folder = self.telemetry.credentials
+        return None if folder is None else self._path.parent / folder
+
+    @property
     def self_contained(self) -> "Rig":
         """This rig with the samples of a trajectory in place of the file that has them. Raises TrajectoryFileError."""
         if not isinstance(self.reference, TrajectoryReference):
@@ -163,6 +170,7 @@ class Rig(Section):
         """SHA-256 of what the configuration says, 64 hex digits: equal for "210 bar" and 21e6, whatever the layout or
         comments of the file; covers the bytes of the DBC and a trajectory's samples, not where the files lie."""
         content: dict[str, Any] = self.self_contained.model_dump(mode="json")
+        del content["telemetry"]["credentials"]
         content["dbc_sha256"] = hashlib.sha256(self.dbc_path.read_bytes()).hexdigest()
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()

@@ -6,6 +6,9 @@ from math import isfinite
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from servohil.hil.small_file import FileTooLargeError, read_small
+
+TRAJECTORY_BYTES: Final = 16 << 20  # some 800 000 samples: a quarter of an hour at 1 kHz
 COLUMNS: Final = ("t_s", "position_m")
 
 
@@ -25,12 +28,14 @@ def read_trajectory(path: Path) -> list[Row]:
     """The samples in `path` as they stand there, all of them finite numbers.
 
     Raises:
-        TrajectoryFileError: no such file, not UTF-8, a column that is missing, or a value that is no finite number.
+        TrajectoryFileError: no such file, too large, not UTF-8, a missing column, or a value that is no finite number.
     """
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        text = read_small(path, TRAJECTORY_BYTES).decode("utf-8-sig")
     except FileNotFoundError:
         raise TrajectoryFileError(f"no such file: {path}; allowed: a CSV file, relative to the TOML file") from None
+    except FileTooLargeError as error:
+        raise TrajectoryFileError(str(error)) from None
     except OSError as error:
         raise TrajectoryFileError(f"{path} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:

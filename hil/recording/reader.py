@@ -11,13 +11,13 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
-from zstandard import ZstdError
 
 from servohil.hil.recording.layout import CHECKPOINT, EVENT, GAP_CODE, INPUTS, METADATA, PROFILE, STATE, RecordingError
 from servohil.hil.snapshot import SNAPSHOT, SNAPSHOT_VERSION
@@ -25,6 +25,7 @@ from servohil.hil.telemetry.encoding import EncodingError, snapshot_of
 from servohil.hil.telemetry.servohil_pb2 import Checkpoint as CheckpointMessage
 from servohil.hil.telemetry.servohil_pb2 import CycleInputs
 
+RECORD_BYTES: Final = 64 << 20  # of one record, as it stands in the file and unpacked; ours have a few MB
 _FRAME: Final = struct.Struct("<BQ")
 _CRC: Final = struct.Struct("<I")
 _INDEX: Final = struct.Struct("<HI")
@@ -39,6 +40,20 @@ _READ: Final[dict[int, Any]] = {
 
 def _stream(body: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(body))
+
+
+def _unpackable(body: bytes) -> Chunk:
+    """A chunk that does not become larger than RECORD_BYTES: a few bytes can stand for as many gigabytes."""
+    chunk = Chunk.read(_stream(body))
+    if chunk.compression not in ("", "zstd"):
+        raise ValueError(f"a chunk packed with {chunk.compression[:20]!r}; allowed: zstd or none")
+    # The frame has a size of its own, and the unpacker believes that one.
+    sizes = [chunk.uncompressed_size]
+    if chunk.compression == "zstd":
+        sizes.append(zstandard.frame_content_size(chunk.data))
+    if max(sizes) > RECORD_BYTES:
+        raise ValueError(f"a chunk of {max(sizes)} bytes unpacked; allowed: at most {RECORD_BYTES}")
+    return chunk
 
 
 def _check(opcode: int, body: bytes) -> None:
@@ -134,10 +149,16 @@ class Recording:
                 opcode, length = _FRAME.unpack(head)
                 if at + _FRAME.size + length > size:
                     return
+                if length > RECORD_BYTES:
+                    self.problem = (
+                        f"{self.path} is damaged at byte {at}: a record of {length} bytes; "
+                        f"allowed: at most {RECORD_BYTES}"
+                    )
+                    return
                 body = stream.read(length)
                 try:
                     if opcode == Opcode.CHUNK:
-                        yield from breakup_chunk(Chunk.read(_stream(body)), validate_crc=True)
+                        yield from breakup_chunk(_unpackable(body), validate_crc=True)
                     else:
                         _check(opcode, body)
                         if opcode == Opcode.DATA_END:
@@ -145,7 +166,7 @@ class Recording:
                             return
                         if opcode in _READ:
                             yield _READ[opcode].read(_stream(body))
-                except (McapError, ZstdError, struct.error, ValueError) as error:
+                except (McapError, zstandard.ZstdError, struct.error, ValueError) as error:
                     self.problem = f"{self.path} is damaged at byte {at}: {str(error) or type(error).__name__}"
                     return
                 at += _FRAME.size + length

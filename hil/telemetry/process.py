@@ -17,7 +17,7 @@ from servohil.hil.telemetry.intake import Intake
 from servohil.hil.telemetry.publisher import JSON, Publisher, to_json
 from servohil.hil.telemetry.queryables import Desk, Documents
 from servohil.hil.telemetry.schema import descriptor_set, meta, proto_text
-from servohil.hil.telemetry.session import close_session, open_client, open_hub, stays_on_this_machine
+from servohil.hil.telemetry.session import check_doors, close_session, open_client, open_hub
 from servohil.hil.telemetry.setup import TelemetrySetup
 
 EXIT_DONE: Final = 0
@@ -33,9 +33,13 @@ class Telemetry:
     def __init__(self, setup: TelemetrySetup) -> None:
         self.setup = setup
         self.finish_asked = False
+        check_doors(setup.listen, setup.connect, setup.credentials)
+        credentials = Path(setup.credentials) if setup.credentials is not None else None
         self.ring = RingReader(setup.ring)
         try:
-            self.session, self.endpoint = open_client(setup.connect) if setup.connect else open_hub(setup.listen)
+            self.session, self.endpoint = (
+                open_client(setup.connect) if setup.connect else open_hub(setup.listen, credentials)
+            )
             recording = self._open_recording()
         except OSError:
             self.ring.close()
@@ -44,10 +48,10 @@ class Telemetry:
         self.publisher = Publisher(self.session, setup.rig)
         facts = {"servohil": importlib.metadata.version("servohil"), **setup.meta}
         self._meta = to_json(meta(setup.rig, self.endpoint, setup.batch_ns, facts))
-        # Anyone who reaches the endpoint may command, so only processes on this machine may reach it.
-        local = all(map(stays_on_this_machine, setup.connect or (self.endpoint,)))
-        root, commands = self.publisher.root, self.ring.commands
-        self.desk = Desk(self.session, root, commands, setup.parameters, self._documents, commands_allowed=local)
+        root, commands, known = self.publisher.root, self.ring.commands, setup.parameters
+        self.desk = Desk(
+            self.session, root, commands, known, self._documents, self._event, certificates=credentials is not None
+        )
         self._changes = ChangeDetector(setup.event_names)
         self._last_row: Any = None
         self._slow_ns = 0

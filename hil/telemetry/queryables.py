@@ -1,11 +1,9 @@
 """What telemetry answers: commands, parameters, documents. The one loop polls channels: no Zenoh call in a callback.
 
 A command is a query on its exact key. A pattern (`cmd/*`, `servohil/**`) never commands anything: whoever lists all
-keys of a rig must not move it.
+keys of a rig must not move it. Who commands stands in the key: `by/<sender>/cmd/<name>`.
 """
 
-import json
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -16,17 +14,20 @@ from numpy.typing import NDArray
 
 from servohil.hil.command_ring import CommandWriter
 from servohil.hil.commands import Command, Result
-from servohil.hil.telemetry.publisher import JSON, to_json
+from servohil.hil.telemetry.asked import asked, end, refusal, reply, say, wanted_value
+from servohil.hil.telemetry.publisher import to_json
+from servohil.hil.telemetry.rate_limit import COMMANDS_PER_S, RateLimit, Sender
 from servohil.hil.telemetry.schema import state_name
 from servohil.hil.telemetry.setup import Parameter
 
 REPLY_TIMEOUT_NS: Final = 500_000_000
+ESTOP: Final = "estop"
 COMMANDS: Final[dict[str, Command]] = {
     "enable": Command.ENABLE,
     "hold": Command.HOLD,
     "disable": Command.DISABLE,
     "reset": Command.RESET,
-    "estop": Command.ESTOP,
+    ESTOP: Command.ESTOP,
     "acknowledge": Command.ACKNOWLEDGE,
 }
 _CHANNEL_SIZE: Final = 64
@@ -34,20 +35,23 @@ Documents = Mapping[str, tuple[bytes, zenoh.Encoding]]
 
 
 @dataclass(frozen=True, slots=True)
-class _Pending:
-    """A command the controller has not answered yet. `parameter` is the change it stands for."""
+class _Wish:
+    """A command that somebody wants: `text` for the log; `parameter` is the change it stands for."""
 
     query: zenoh.Query
-    seq: int
+    sender: Sender
+    text: str
+    code: Command
     deadline_ns: int
-    parameter: Parameter | None
-    index: int
+    parameter: Parameter | None = None
+    index: int = 0
+    logged: bool = True
 
 
 class Desk:
-    """Answers queries below `root`. `documents()` gives the texts to serve, by absolute key.
+    """Answers queries below `root`. `documents()` gives the texts to serve, by absolute key; `log` takes events.
 
-    Without `commands_allowed` everything can be read and nothing changed.
+    With `certificates` the sender in a key is proven, and what names none changes nothing.
     """
 
     def __init__(
@@ -57,19 +61,29 @@ class Desk:
         commands: CommandWriter,
         parameters: tuple[Parameter, ...],
         documents: Callable[[], Documents],
-        commands_allowed: bool = True,
+        log: Callable[[dict[str, Any]], None],
+        certificates: bool,
     ) -> None:
         self._root = root
         self._commands = commands
         self._parameters = {p.name: (i, p) for i, p in enumerate(parameters)}
         self._documents = documents
-        self._commands_allowed = commands_allowed
-        self._pending: list[_Pending] = []
+        self._log = log
+        self._certificates = certificates
+        self._limit = RateLimit()
+        self._estop_events = RateLimit()  # the e-stop itself has no limit, what it writes has
+        self._pending: dict[int, _Wish] = {}  # by sequence number
+        self._estops: list[_Wish] = []  # that found no free slot
+        # The e-stop has channels of its own: no flood of other queries can push it out of a full one.
         self._queryables = [
             (session.declare_queryable(f"{root}/{keys}", zenoh.handlers.RingChannel(_CHANNEL_SIZE)), answer)
             for keys, answer in (
+                (f"cmd/{ESTOP}", self._estop),
+                (f"by/*/cmd/{ESTOP}", self._estop),
                 ("cmd/**", self._command),
+                ("by/*/cmd/**", self._command),
                 ("param/**", self._parameter),
+                ("by/*/param/**", self._parameter),
                 ("meta", self._document),
                 ("schema/**", self._document),
                 ("event/**", self._document),
@@ -78,108 +92,159 @@ class Desk:
 
     def poll(self, now_ns: int) -> None:
         """Take every waiting query; answer it, or hand its command to the controller."""
+        waiting, self._estops = self._estops, []
+        for wish in waiting:
+            self._send(wish)
         for queryable, answer in self._queryables:
             while (query := queryable.try_recv()) is not None:
-                answer(query, now_ns)
+                try:
+                    answer(query, now_ns)
+                except ValueError as error:
+                    reply(query, refusal(str(error)))
 
     def settle(self, rows: NDArray[np.void], now_ns: int) -> None:
         """Reply to commands that these SNAPSHOT rows (n,) show as handled, or that nobody handled in time."""
-        if not self._pending:
-            return
-        waiting = []
-        for pending in self._pending:
-            handled = np.flatnonzero(rows["command_seq"] >= pending.seq)
+        for seq, wish in list(self._pending.items()):
+            handled = np.flatnonzero(rows["command_seq"] >= seq)
             if len(handled):
-                self._settle_one(pending, rows[handled[0]])
-            elif now_ns >= pending.deadline_ns:
+                self._settle_one(seq, wish, rows[handled[0]])
+            elif now_ns >= wish.deadline_ns:
                 text = f"the controller did not answer within {REPLY_TIMEOUT_NS / 1e9:g} s"
-                _reply(pending.query, {"ok": False, "result": "timeout", "error": text})
+                self._answer(wish, {"ok": False, "result": "timeout", "error": text})
             else:
-                waiting.append(pending)
-        self._pending = waiting
+                continue
+            del self._pending[seq]
+        for wish in [wish for wish in self._estops if now_ns >= wish.deadline_ns]:
+            self._estops.remove(wish)
+            self._answer(wish, _NOBODY_TAKES)
 
     def close(self) -> None:
         """Answer what still waits: nobody will."""
-        for pending in self._pending:
-            _reply(pending.query, {"ok": False, "result": "timeout", "error": "the controller has ended"})
-        self._pending = []
+        for wish in (*self._pending.values(), *self._estops):
+            reply(wish.query, {"ok": False, "result": "timeout", "error": "the controller has ended"})
+        self._pending, self._estops = {}, []
         for queryable, _ in self._queryables:
             queryable.undeclare()  # type: ignore[no-untyped-call]
 
-    def _settle_one(self, pending: _Pending, row: Any) -> None:
+    def _settle_one(self, seq: int, wish: _Wish, row: Any) -> None:
         content: dict[str, Any] = {"cycle": int(row["cycle"]), "state": state_name(int(row["state"]))}
-        if row["command_seq"] != pending.seq:
+        if row["command_seq"] != seq:
             # The row that showed the result was lost in a gap: say so rather than guess.
-            _reply(pending.query, {"ok": False, "result": "unconfirmed", "error": "the result was lost", **content})
+            self._answer(wish, {"ok": False, "result": "unconfirmed", "error": "the result was lost", **content})
             return
         code = int(row["command_result"])
         result = Result(code) if code in set(Result) else Result.UNKNOWN
         ok = result == Result.ACCEPTED
-        if pending.parameter is not None:
+        if wish.parameter is not None:
             if ok:
-                self._parameters[pending.parameter.name] = (pending.index, pending.parameter)
-            content |= _facts(self._parameters[pending.parameter.name][1])
-        _reply(pending.query, {"ok": ok, "result": result.name.lower(), **content})
+                self._parameters[wish.parameter.name] = (wish.index, wish.parameter)
+            content |= _facts(self._parameters[wish.parameter.name][1])
+        self._answer(wish, {"ok": ok, "result": result.name.lower(), **content})
 
-    def _name(self, query: zenoh.Query, room: str) -> str | None:
-        """What stands behind `<root>/<room>/`, None for a pattern."""
-        key = str(query.key_expr)
-        prefix = f"{self._root}/{room}/"
-        return key.removeprefix(prefix) if key.startswith(prefix) and "*" not in key and "$" not in key else None
+    def _answer(self, wish: _Wish, content: dict[str, Any]) -> None:
+        """Tell the sender what became of the wish, and everybody else."""
+        reply(wish.query, content)
+        if not wish.logged:
+            return
+        sender = {"sender": wish.sender.name, "proven": wish.sender.proven}
+        facts: dict[str, Any] = {key: content[key] for key in ("ok", "result", "cycle") if key in content}
+        text = f"{wish.sender}: {wish.text}: {content['result']}"
+        self._log({"severity": "info", "code": "command", "command": wish.text, **sender, **facts, "text": text})
 
-    def _send(self, query: zenoh.Query, now_ns: int, code: Command, parameter: Parameter | None, index: int) -> None:
-        if not self._commands_allowed:
-            _refuse(query, "commands are taken on loopback only: beyond this machine nobody checks who asks")
+    def _proven(self, wish: _Wish) -> bool:
+        """Whether it is known who wants this, where it has to be; answers if not."""
+        if self._certificates and not wish.sender.proven:
+            text = f"who commands must be in the key; allowed: {self._root}/by/<your name>/cmd/... or .../param/..."
+            reply(wish.query, refusal(text))
+            return False
+        return True
+
+    def _admit(self, wish: _Wish, now_ns: int) -> bool:
+        """Whether this command is from somebody who may, and within the limit; answers if not."""
+        if not self._proven(wish):
+            return False
+        count = self._limit.count(wish.sender, now_ns)
+        if count <= COMMANDS_PER_S:
+            return True
+        if count == COMMANDS_PER_S + 1:  # told to everybody once
+            text = f"{wish.sender}: more than {COMMANDS_PER_S} commands per second; the rest is refused"
+            facts = {"sender": wish.sender.name, "proven": wish.sender.proven}
+            self._log({"severity": "warning", "code": "command_rate", **facts, "text": text})
+        text = f"too many commands; allowed: {COMMANDS_PER_S} per second and sender, {ESTOP} without limit"
+        reply(wish.query, {"ok": False, "result": "rate_limited", "error": text})
+        return False
+
+    def _send(self, wish: _Wish) -> None:
+        value = wish.parameter.value if wish.parameter else 0.0
+        seq = self._commands.send(int(wish.code), wish.index, value, wish.deadline_ns - REPLY_TIMEOUT_NS)
+        if seq:
+            self._pending[seq] = wish
+        elif wish.code == Command.ESTOP and len(self._estops) < _CHANNEL_SIZE:
+            self._estops.append(wish)
+        else:
+            self._answer(wish, _NOBODY_TAKES)
+
+    def _estop(self, query: zenoh.Query, now_ns: int) -> None:
+        ask = asked(query, self._root, "cmd", self._certificates)
+        if ask is None:
+            end(query)
             return
-        value = parameter.value if parameter else 0.0
-        seq = self._commands.send(int(code), index, value, now_ns)
-        if not seq:
-            _reply(query, {"ok": False, "result": "timeout", "error": "the controller does not take commands"})
-            return
-        self._pending.append(_Pending(query, seq, now_ns + REPLY_TIMEOUT_NS, parameter, index))
+        logged = self._estop_events.count(ask.sender, now_ns) <= COMMANDS_PER_S
+        wish = _Wish(query, ask.sender, ESTOP, Command.ESTOP, now_ns + REPLY_TIMEOUT_NS, logged=logged)
+        if self._proven(wish):
+            self._send(wish)
 
     def _command(self, query: zenoh.Query, now_ns: int) -> None:
-        name = self._name(query, "cmd")
-        if name is None:
-            _end(query)
-        elif name not in COMMANDS:
-            _refuse(query, f"unknown command {name!r}; known: {', '.join(COMMANDS)}")
+        ask = asked(query, self._root, "cmd", self._certificates)
+        if ask is None or ask.name == ESTOP:  # answered above
+            end(query)
+        elif ask.name not in COMMANDS:
+            reply(query, refusal(f"unknown command {ask.name[:40]!r}; known: {', '.join(COMMANDS)}"))
         else:
-            self._send(query, now_ns, COMMANDS[name], None, 0)
+            wish = _Wish(query, ask.sender, ask.name, COMMANDS[ask.name], now_ns + REPLY_TIMEOUT_NS)
+            if self._admit(wish, now_ns):
+                self._send(wish)
 
     def _parameter(self, query: zenoh.Query, now_ns: int) -> None:
-        name = self._name(query, "param")
-        try:
-            value = _wanted_value(query)
-        except ValueError as error:
-            _refuse(query, str(error))
-            return
-        if name is None and value is None:
+        ask = asked(query, self._root, "param", self._certificates)
+        value = wanted_value(query)
+        if ask is None and value is None:
             for known, (_, parameter) in self._parameters.items():
                 key = f"{self._root}/param/{known}"
                 if query.key_expr.intersects(zenoh.KeyExpr(key)):
-                    _say(query, key, to_json(_facts(parameter)))
-            _end(query)
-        elif name is None:
-            _refuse(query, "a value can be set for one parameter at a time, not for a pattern of keys")
-        elif name not in self._parameters:
-            _refuse(query, f"unknown parameter {name!r}; known: {', '.join(self._parameters) or 'none'}")
+                    say(query, key, to_json(_facts(parameter)))
+            end(query)
+        elif ask is None:
+            raise ValueError("a value can be set for one parameter at a time, not for a pattern of keys")
+        elif ask.name not in self._parameters:
+            raise ValueError(f"unknown parameter {ask.name[:40]!r}; known: {', '.join(self._parameters) or 'none'}")
         else:
-            index, parameter = self._parameters[name]
-            if value is None:
-                _reply(query, _facts(parameter))
-            elif parameter.min <= value <= parameter.max:
-                self._send(query, now_ns, Command.SET_PARAM, replace(parameter, value=value), index)
-            else:
-                allowed = f"{parameter.min:g} to {parameter.max:g} {parameter.unit}"
-                text = f"{name} = {value:g} {parameter.unit}: allowed is {allowed}"
-                _reply(query, {"ok": False, "result": "out_of_range", "error": text, **_facts(parameter)})
+            self._one_parameter(query, ask.sender, *self._parameters[ask.name], value, now_ns)
+
+    def _one_parameter(
+        self, query: zenoh.Query, sender: Sender, index: int, known: Parameter, value: float | None, now_ns: int
+    ) -> None:
+        if value is None:
+            reply(query, _facts(known))
+            return
+        text, wanted = f"{known.name} = {value:g} {known.unit}", replace(known, value=value)
+        wish = _Wish(query, sender, text, Command.SET_PARAM, now_ns + REPLY_TIMEOUT_NS, wanted, index)
+        if not self._admit(wish, now_ns):
+            return
+        if known.min <= value <= known.max:
+            self._send(wish)
+        else:
+            error = f"{text}: allowed is {known.min:g} to {known.max:g} {known.unit}"
+            self._answer(wish, {"ok": False, "result": "out_of_range", "error": error, **_facts(known)})
 
     def _document(self, query: zenoh.Query, _now_ns: int) -> None:
         for key, (payload, encoding) in self._documents().items():
             if query.key_expr.intersects(zenoh.KeyExpr(key)):
-                _say(query, key, payload, encoding)
-        _end(query)
+                say(query, key, payload, encoding)
+        end(query)
+
+
+_NOBODY_TAKES: Final = {"ok": False, "result": "timeout", "error": "the controller does not take commands"}
 
 
 def _facts(parameter: Parameter) -> dict[str, Any]:
@@ -190,43 +255,3 @@ def _facts(parameter: Parameter) -> dict[str, Any]:
         "min": parameter.min,
         "max": parameter.max,
     }
-
-
-def _wanted_value(query: zenoh.Query) -> float | None:
-    """The value to set, from the payload {"value": x} or the selector `?value=x`; None to only read."""
-    text: Any = query.parameters.get("value")
-    raw = query.payload.to_bytes() if query.payload is not None else b""
-    if raw:
-        try:
-            text = json.loads(raw)["value"]
-        except (ValueError, TypeError, KeyError):
-            raise ValueError(f'payload {raw[:80]!r}: expected {{"value": number}}') from None
-    if text is None:
-        return None
-    try:
-        value = float(text)
-    except (ValueError, TypeError):
-        value = math.nan
-    if isinstance(text, bool) or not math.isfinite(value):
-        raise ValueError(f"value {text!r}: expected a finite number")
-    return value
-
-
-def _refuse(query: zenoh.Query, error: str) -> None:
-    _reply(query, {"ok": False, "result": "refused", "error": error})
-
-
-def _reply(query: zenoh.Query, content: dict[str, Any]) -> None:
-    """The one answer to a query on an exact key."""
-    _say(query, str(query.key_expr), to_json(content))
-    _end(query)
-
-
-def _say(query: zenoh.Query, key: str, payload: bytes, encoding: zenoh.Encoding = JSON) -> None:
-    """One of perhaps several answers."""
-    query.reply(key, payload, encoding=encoding)
-
-
-def _end(query: zenoh.Query) -> None:
-    """Tell the asker that no more replies will come."""
-    query.drop()  # type: ignore[no-untyped-call]

@@ -32,8 +32,12 @@ def until(condition: Callable[[], Any], what: str, patience_s: float = PATIENCE_
 class FakeRig:
     """Context manager: fake controller and telemetry as real processes in `folder`, a Zenoh client session."""
 
-    def __init__(self, folder: Path, *, cycles: int = 0, rate_hz: float = 1000.0, **spec: Any) -> None:
+    def __init__(
+        self, folder: Path, *, cycles: int = 0, rate_hz: float = 1000.0, person: Path | None = None, **spec: Any
+    ) -> None:
+        """`person`: credentials of the client, where the telemetry process asks for them."""
         self.folder = folder
+        self.person = person
         self.recording = folder / "recording.mcap"
         setup = {
             "rig": RIG,
@@ -64,7 +68,7 @@ class FakeRig:
         assert self.controller.stdout
         facts = json.loads(self.controller.stdout.readline())
         self.endpoint, self.telemetry_pid, self.ring = facts["endpoint"], facts["telemetry_pid"], Path(facts["ring"])
-        self.session = open_session(client_settings([self.endpoint]))
+        self.session = open_session(client_settings([self.endpoint], self.person))
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -182,8 +182,8 @@ ONE_LINE = [
     (("ramp_down_s = 0.1", 'ramp_down_s = "4 ms"'), 'limits.ramp_down_s = "4 ms": must be at least command_max_v / command_slew_v_per_s = 0.005 s: a stop keeps the slew limit too'),
     (("amplitude_m = 0.15", "amplitude_m = 0.29"), "reference.amplitude_m = 0.29: offset_m = 0.3 makes it 0.01..0.59 m; limits are 0.02..0.58 m"),
     (("omega_rad_per_s = 2.0", "omega_rad_per_s = 8"), "reference.omega_rad_per_s = 8: peak speed 1.2 m/s; limits.speed_max_mps is 1.0"),
-    (("tcp/127.0.0.1:7447", "tcp/0.0.0.0:7447"), 'telemetry.listen = "tcp/0.0.0.0:7447": must be tcp/127.0.0.1:PORT: other machines are not served'),
-    (("tcp/127.0.0.1:7447", "tcp/127.0.0.1:70000"), 'telemetry.listen = "tcp/127.0.0.1:70000": must be tcp/127.0.0.1:PORT: other machines are not served'),
+    (("tcp/127.0.0.1:7447", "tcp/0.0.0.0:7447"), 'telemetry.listen = "tcp/0.0.0.0:7447": must be tcp/127.0.0.1:PORT, or tls/HOST:PORT with credentials: other machines are served over TLS'),
+    (("tcp/127.0.0.1:7447", "tcp/127.0.0.1:70000"), 'telemetry.listen = "tcp/127.0.0.1:70000": must be tcp/127.0.0.1:PORT, or tls/HOST:PORT with credentials: other machines are served over TLS'),
     (('command_timeout_s = "20 ms"', 'command_timeout_s = "2.9 ms"'), 'plant.command_timeout_s = "2.9 ms": must be at least 3 periods of 1000 Hz, 0.003 s'),
     (("position_m = 0.18", "position_m = 0.61"), "plant.position_m = 0.61: must be within the stroke, 0..0.6 m"),
 ]  # fmt: skip

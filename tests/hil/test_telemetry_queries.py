@@ -12,11 +12,8 @@ import zenoh
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from telemetry_rig import ROOT, FakeRig, until
 
-from servohil.hil.command_ring import CommandReader, CommandWriter
 from servohil.hil.snapshot import FIELDS
-from servohil.hil.telemetry.queryables import Desk
-from servohil.hil.telemetry.session import client_settings, open_hub, open_session, stays_on_this_machine
-from servohil.hil.telemetry.setup import Parameter
+from servohil.hil.telemetry.session import stays_on_this_machine
 
 pytestmark = pytest.mark.processes
 
@@ -53,6 +50,25 @@ def test_commands_are_answered_with_what_became_of_them(rig: FakeRig) -> None:
     assert not unknown["ok"] and "'explode'" in unknown["error"]
     for known in ("enable", "hold", "disable", "reset", "estop", "acknowledge"):
         assert known in unknown["error"]
+
+
+def test_on_loopback_a_sender_has_the_name_that_it_states(rig: FakeRig) -> None:
+    events = rig.subscribe("event/info/command")
+    until(lambda: rig.ask("cmd/disable") and events, "an event")
+    del events[:]
+    (stated,) = rig.ask("by/anna/cmd/hold")
+    (unnamed,) = rig.ask("cmd/disable")
+    (set_value,) = rig.ask("by/anna/param/k_sigma", {"value": 20.0})
+    assert stated["state"] == "HOLD" and unnamed["ok"] and set_value["ok"]
+    until(lambda: len(events) == 3, "three events")
+    told = [json.loads(event.payload.to_bytes()) for event in events]
+    assert [(e["sender"], e["proven"], e["command"]) for e in told] == [
+        ("anna", False, "hold"), ("", False, "disable"), ("anna", False, "k_sigma = 20 1/s")
+    ]  # fmt: skip
+    for sender in ("a b", "x" * 33, "-", "ä"):
+        (refused,) = rig.ask(f"by/{sender}/cmd/hold")
+        assert refused["result"] == "refused" and "letters, digits" in refused["error"]
+    assert rig.ask("by/*/cmd/hold") == [] and rig.ask("by/*/cmd/estop") == []
 
 
 def test_listing_all_keys_moves_nothing(rig: FakeRig) -> None:
@@ -166,35 +182,24 @@ def test_liveliness_of_a_killed_telemetry_ends(tmp_path: Path) -> None:
         del watch
 
 
-def test_beyond_loopback_everything_can_be_read_and_nothing_changed() -> None:
-    assert all(
-        map(
-            stays_on_this_machine, ("tcp/127.0.0.1:7447", "tcp/[::1]:7447", "unixsock-stream//run/x", "tcp/localhost:1")
-        )
-    )
-    for endpoint in (
-        "tcp/0.0.0.0:7447",
-        "tcp/192.168.1.4:7447",
-        "tcp/[::]:7447",
-        "tls/rig.example:7447",
-        "tcp/127.0.0.1",
-    ):
-        assert not stays_on_this_machine(endpoint)
-    session, endpoint = open_hub("tcp/127.0.0.1:0")
-    words = memoryview(bytearray(4096)).cast("q")
-    parameter = Parameter("gain", "1", 0.0, 2.0, 1.0)
-    desk = Desk(session, ROOT, CommandWriter(words), (parameter,), dict, commands_allowed=False)
-    with open_session(client_settings([endpoint])) as client:
-        replies = [
-            client.get(f"{ROOT}/{key}", timeout=5.0) for key in ("cmd/enable", "param/gain?value=1.5", "param/gain")
-        ]
-        texts = []
-        for get in replies:
-            got: list[zenoh.Reply] = []
-            until(lambda get=get, got=got: desk.poll(0) or got.extend(filter(None, [get.try_recv()])) or got, "a reply")
-            texts.append(json.loads(got[0].ok.payload.to_bytes()))
-    desk.close()
-    session.close()
-    assert [text.get("result") for text in texts] == ["refused", "refused", None]
-    assert "loopback" in texts[0]["error"] and texts[2]["value"] == 1.0
-    assert CommandReader(words).read() is None
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"[" * 100_000,
+        b"[" * 200,
+        b'{"value": ' + b"9" * 200 + b"}",
+        b'{"value": 1' + b"0" * 400 + b"}",
+        b" " * 257 + b'{"value": 3}',
+    ],
+    ids=["deep", "less deep", "huge", "huge and long", "long"],
+)
+def test_a_payload_made_to_break_the_reader_is_refused(rig: FakeRig, payload: bytes) -> None:
+    (reply,) = rig.ask("param/k_sigma", payload)
+    assert reply["result"] == ("out_of_range" if b"999" in payload else "refused")
+    assert rig.ask("param/k_sigma")[0]["value"] == 20.0
+
+
+def test_what_stays_on_this_machine() -> None:
+    inside = ("tcp/127.0.0.1:7447", "tcp/[::1]:7447", "unixsock-stream//run/x", "tcp/localhost:1")
+    beyond = ("tcp/0.0.0.0:7447", "tcp/192.168.1.4:7447", "tcp/[::]:7447", "tls/rig.example:7447", "tcp/127.0.0.1")
+    assert all(map(stays_on_this_machine, inside)) and not any(map(stays_on_this_machine, beyond))
