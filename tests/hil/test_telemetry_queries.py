@@ -55,16 +55,17 @@ def test_commands_are_answered_with_what_became_of_them(rig: FakeRig) -> None:
 def test_on_loopback_a_sender_has_the_name_that_it_states(rig: FakeRig) -> None:
     events = rig.subscribe("event/info/command")
     until(lambda: rig.ask("cmd/disable") and events, "an event")
-    del events[:]
     (stated,) = rig.ask("by/anna/cmd/hold")
     (unnamed,) = rig.ask("cmd/disable")
     (set_value,) = rig.ask("by/anna/param/k_sigma", {"value": 20.0})
     assert stated["state"] == "HOLD" and unnamed["ok"] and set_value["ok"]
-    until(lambda: len(events) == 3, "three events")
-    told = [json.loads(event.payload.to_bytes()) for event in events]
-    assert [(e["sender"], e["proven"], e["command"]) for e in told] == [
-        ("anna", False, "hold"), ("", False, "disable"), ("anna", False, "k_sigma = 20 1/s")
-    ]  # fmt: skip
+    expected = [("anna", False, "hold"), ("", False, "disable"), ("anna", False, "k_sigma = 20 1/s")]
+
+    def told() -> list[tuple[str, bool, str]]:
+        found = [json.loads(event.payload.to_bytes()) for event in events]
+        return [(event["sender"], event["proven"], event["command"]) for event in found]
+
+    until(lambda: told()[-3:] == expected, "the events of the last three")
     for sender in ("a b", "x" * 33, "-", "ä"):
         (refused,) = rig.ask(f"by/{sender}/cmd/hold")
         assert refused["result"] == "refused" and "letters, digits" in refused["error"]
