@@ -1,0 +1,133 @@
+"""All mutants of one source: each has a single small mistake of the kind that people make.
+
+Comparison, boolean and arithmetic operators, constants, conditions, returned values, left-out statements and arguments
+that change places. Types, docstrings and messages of errors are left alone: no test is asked to find a comma.
+"""
+
+import ast
+import copy
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+COMPARISONS: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
+    ast.Lt: (ast.LtE, ast.GtE), ast.LtE: (ast.Lt, ast.Gt), ast.Gt: (ast.GtE, ast.LtE), ast.GtE: (ast.Gt, ast.Lt),
+    ast.Eq: (ast.NotEq, ast.LtE, ast.GtE), ast.NotEq: (ast.Eq,), ast.In: (ast.NotIn,), ast.NotIn: (ast.In,),
+    ast.Is: (ast.IsNot,), ast.IsNot: (ast.Is,),
+}  # fmt: skip
+OPERATORS: dict[type[ast.operator], tuple[type[ast.operator], ...]] = {
+    ast.Add: (ast.Sub,), ast.Sub: (ast.Add,), ast.Mult: (ast.Div,), ast.Div: (ast.Mult,), ast.Mod: (ast.FloorDiv,),
+    ast.FloorDiv: (ast.Mod,), ast.BitAnd: (ast.BitOr,), ast.BitOr: (ast.BitAnd,), ast.BitXor: (ast.BitOr,),
+    ast.LShift: (ast.RShift,), ast.RShift: (ast.LShift,),
+}  # fmt: skip
+CALLS = {"min": "max", "max": "min", "all": "any", "any": "all"}
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """`tree` is a whole module that differs from the original in what `what` says."""
+
+    line: int
+    what: str
+    tree: ast.Module
+
+    def __str__(self) -> str:
+        return f"line {self.line}: {self.what}"
+
+
+def mutants(source: str) -> list[Mutant]:
+    """Every mutant of the module `source`, in the order of its lines."""
+    original = ast.parse(source)
+    found = []
+    for number, node in enumerate(ast.walk(original)):
+        for way, what in enumerate(_ways(node)):
+            tree = copy.deepcopy(original)
+            target = next(twin for k, twin in enumerate(ast.walk(tree)) if k == number)
+            list(_ways(target, apply=way))
+            found.append(Mutant(getattr(node, "lineno", 0), what, ast.fix_missing_locations(tree)))
+    return sorted(found, key=lambda mutant: mutant.line)
+
+
+def _ways(node: ast.AST, apply: int = -1) -> Iterator[str]:
+    """What can be done to `node`, in words; the one numbered `apply` is done."""
+    for k, (what, field, value) in enumerate(_edits(node)):
+        if k == apply:
+            if isinstance(field, tuple):
+                getattr(node, field[0])[field[1]] = value
+            else:
+                setattr(node, field, value)
+        yield what
+
+
+Edit = tuple[str, str | tuple[str, int], object]
+
+
+def _edits(node: ast.AST) -> list[Edit]:
+    """(words, field or (field, position), new value) of every edit of one node."""
+    edits: list[Edit] = []
+    if isinstance(node, ast.Compare):
+        for k, old in enumerate(node.ops):
+            edits += [(f"{ast.unparse(node)}: {_name(old)} -> {new.__name__}", ("ops", k), new())
+                      for new in COMPARISONS[type(old)]]  # fmt: skip
+    elif isinstance(node, ast.BinOp | ast.AugAssign):
+        edits += [(f"{ast.unparse(node)}: {_name(node.op)} -> {new.__name__}", "op", new())
+                  for new in OPERATORS.get(type(node.op), ())]  # fmt: skip
+    elif isinstance(node, ast.BoolOp):
+        new = ast.Or if isinstance(node.op, ast.And) else ast.And
+        edits.append((f"{ast.unparse(node)}: {_name(node.op)} -> {new.__name__}", "op", new()))
+        if len(node.values) > 1:
+            edits += [(f"{ast.unparse(node)}: without {ast.unparse(value)}", "values",
+                       [v for v in node.values if v is not value]) for value in node.values]  # fmt: skip
+    elif isinstance(node, ast.If | ast.IfExp | ast.While):
+        words = f"if {ast.unparse(node.test)}"
+        edits += [(f"{words}: always {to}", "test", ast.Constant(to)) for to in (True, False)]
+        edits.append((f"{words}: negated", "test", ast.UnaryOp(ast.Not(), node.test)))
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub | ast.Invert):
+        edits.append((f"{ast.unparse(node)}: without {_name(node.op)}", "op", ast.UAdd()))
+    elif isinstance(node, ast.Constant):
+        edits += [(f"{node.value!r} -> {new!r}", "value", new) for new in _other_constants(node.value)]
+    elif isinstance(node, ast.Return) and node.value is not None and not isinstance(node.value, ast.Constant):
+        edits.append((f"return {ast.unparse(node.value)}: nothing", "value", ast.Constant(None)))
+    elif isinstance(node, ast.Call):
+        edits += _call_edits(node)
+    if hasattr(node, "body") and isinstance(node.body, list):
+        edits += _left_out(node, "body")
+        if getattr(node, "orelse", None):
+            edits += _left_out(node, "orelse")
+    return edits
+
+
+def _other_constants(value: object) -> tuple[object, ...]:
+    if isinstance(value, bool):
+        return (not value,)
+    if isinstance(value, int | float):
+        return (value + 1, value - 1)
+    return ()
+
+
+def _call_edits(node: ast.Call) -> list[Edit]:
+    edits: list[Edit] = []
+    if isinstance(node.func, ast.Name) and node.func.id in CALLS:
+        edits.append((f"{ast.unparse(node)}: {CALLS[node.func.id]}", "func", ast.Name(CALLS[node.func.id], ast.Load())))
+    for k in range(len(node.args) - 1):
+        swapped = [*node.args[:k], node.args[k + 1], node.args[k], *node.args[k + 2 :]]
+        commutes = isinstance(node.func, ast.Name) and node.func.id in CALLS
+        if not commutes and not any(isinstance(a, ast.Starred) for a in node.args):
+            edits.append((f"{ast.unparse(node)}: arguments {k} and {k + 1} swapped", "args", swapped))
+    return edits
+
+
+def _left_out(node: ast.AST, field: str) -> list[Edit]:
+    """Each statement of a block replaced by nothing. Definitions, imports and texts stay."""
+    stays = (ast.FunctionDef, ast.ClassDef, ast.Import, ast.ImportFrom, ast.Pass, ast.Return, ast.Raise)
+    edits: list[Edit] = []
+    for k, statement in enumerate(getattr(node, field)):
+        text = isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
+        declared = isinstance(statement, ast.AnnAssign) and statement.value is None
+        if not isinstance(statement, stays) and not text and not declared and not isinstance(node, ast.Module):
+            first = ast.unparse(statement).splitlines()[0]
+            edits.append((f"without: {first}", (field, k), ast.Pass()))
+    return edits
+
+
+def _name(operator: ast.AST) -> str:
+    return type(operator).__name__
