@@ -1,7 +1,7 @@
 """Tell the service manager that the loop is alive: READY=1 with its first cycle, WATCHDOG=1 while cycles go on.
 
-A datagram per call to the Unix socket that systemd names in $NOTIFY_SOCKET (sd_notify(3)); without one, nothing. Belongs
-into the telemetry process: a loop that hangs stops the keep-alives, and so does a telemetry process that dies.
+One datagram each to the Unix socket that systemd names in $NOTIFY_SOCKET (sd_notify(3)); without one, nothing. Belongs
+in the telemetry process: a loop that hangs ends the keep-alives, and so does a telemetry process that dies.
 """
 
 import os

@@ -3,13 +3,15 @@
 import re
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic import TypeAdapter, ValidationError
 
 from servohil.hil.config.problems import from_pydantic
 from servohil.hil.config.relations import violated
 from servohil.hil.config.rig import Rig
+
+MAX_BYTES: Final = 16_000_000  # the samples of a long trajectory fit
 
 
 class ConfigError(ValueError):
@@ -50,6 +52,9 @@ def _valid_sections(raw: dict[str, Any], broken: set[str]) -> dict[str, Any]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise ConfigError(f"{path}: {size} bytes; allowed: a TOML file of up to {MAX_BYTES} bytes")
         text = path.read_bytes().decode("utf-8")
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
@@ -59,7 +64,9 @@ def _read(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: byte {error.start} is not UTF-8 text; allowed: a TOML file in UTF-8") from None
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except RecursionError:
+        raise ConfigError(f"{path}: not TOML that anybody needs: arrays or tables nested too deep") from None
+    except ValueError as error:  # of TOML, and of Python for a number of thousands of digits
         # Python 3.11 gives the place as text only: "... (at line 3, column 5)" or "... (at end of document)".
         reason, _, place = str(error).rpartition(" (at ")
         line = re.match(r"line (\d+)", place)

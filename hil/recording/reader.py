@@ -11,13 +11,14 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
-from zstandard import ZstdError
+from zstandard import ZstdError, frame_content_size
 
 from servohil.hil.recording.layout import CHECKPOINT, EVENT, GAP_CODE, INPUTS, METADATA, PROFILE, STATE, RecordingError
 from servohil.hil.snapshot import SNAPSHOT, SNAPSHOT_VERSION
@@ -27,6 +28,7 @@ from servohil.hil.telemetry.servohil_pb2 import CycleInputs
 
 _FRAME: Final = struct.Struct("<BQ")
 _CRC: Final = struct.Struct("<I")
+MAX_CHUNK_BYTES: Final = 1 << 28  # ours are flushed long before; a file of unknown origin may claim anything
 _INDEX: Final = struct.Struct("<HI")
 _READ: Final[dict[int, Any]] = {
     Opcode.HEADER: Header,
@@ -39,6 +41,16 @@ _READ: Final[dict[int, Any]] = {
 
 def _stream(body: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(body))
+
+
+def _chunk_records(chunk: Chunk) -> list[McapRecord]:
+    """The records of a chunk, which is unpacked only when it says, twice alike, that it is of a size to be held."""
+    inside = len(chunk.data) if chunk.compression == "" else frame_content_size(chunk.data)
+    if chunk.compression not in ("", "zstd") or chunk.uncompressed_size > MAX_CHUNK_BYTES:
+        raise ValueError(f"{chunk.compression!r} chunk of {chunk.uncompressed_size} bytes: not as servohil writes them")
+    if inside != chunk.uncompressed_size:
+        raise ValueError(f"chunk of {inside} bytes, said to have {chunk.uncompressed_size}")
+    return breakup_chunk(chunk, validate_crc=True)
 
 
 def _check(opcode: int, body: bytes) -> None:
@@ -137,7 +149,7 @@ class Recording:
                 body = stream.read(length)
                 try:
                     if opcode == Opcode.CHUNK:
-                        yield from breakup_chunk(Chunk.read(_stream(body)), validate_crc=True)
+                        yield from _chunk_records(Chunk.read(_stream(body)))
                     else:
                         _check(opcode, body)
                         if opcode == Opcode.DATA_END:
@@ -170,14 +182,17 @@ class Recording:
                 if topic == STATE:
                     snapshot = snapshot_of(record.data)
                 elif topic == INPUTS:
+                    if not snapshot:
+                        raise EncodingError("inputs before any state")
                     yield Cycle(snapshot, CycleInputs.FromString(record.data).payload)
                 elif topic == CHECKPOINT:
                     yield Checkpoint(CheckpointMessage.FromString(record.data).state)
                 elif topic == EVENT:
                     content = json.loads(record.data)
-                    yield Gap(content["lost"]) if content.get("code") == GAP_CODE else Event(content)
-            except EncodingError as error:
-                raise RecordingError(f"{self.path}: {error}") from error
+                    yield Gap(int(content["lost"])) if content.get("code") == GAP_CODE else Event(content)
+            except (EncodingError, DecodeError, ValueError, KeyError, AttributeError, RecursionError) as error:
+                reason = str(error) or type(error).__name__
+                raise RecordingError(f"{self.path}: a message on {topic!r} is not ours: {reason}") from error
 
     def replayable(self) -> Iterator[Checkpoint | Cycle]:
         """Checkpoints, and the cycles that one of them leads to without a gap. Others are left out."""

@@ -199,13 +199,13 @@ def _wanted_value(query: zenoh.Query) -> float | None:
     if raw:
         try:
             text = json.loads(raw)["value"]
-        except (ValueError, TypeError, KeyError):
+        except (ValueError, TypeError, KeyError, RecursionError):
             raise ValueError(f'payload {raw[:80]!r}: expected {{"value": number}}') from None
     if text is None:
         return None
     try:
         value = float(text)
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):  # a whole number may have hundreds of digits
         value = math.nan
     if isinstance(text, bool) or not math.isfinite(value):
         raise ValueError(f"value {text!r}: expected a finite number")
