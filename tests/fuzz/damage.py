@@ -20,7 +20,7 @@ def damaged_lines(random: np.random.Generator, text: str) -> str:
         k = int(random.integers(len(lines))) if lines else 0
         way = random.integers(8)
         if not lines or way == 0:
-            lines.insert(k, str(random.choice(NASTY)))
+            lines.insert(k, NASTY[random.integers(len(NASTY))])
         elif way == 1:
             del lines[k]
         elif way == 2:
@@ -30,10 +30,10 @@ def damaged_lines(random: np.random.Generator, text: str) -> str:
             lines[k] = lines[k][: random.integers(len(lines[k]) + 1)]
         elif way in (4, 5):
             head, sign, _ = lines[k].partition("=")
-            lines[k] = f"{head}{sign} {random.choice(NASTY)}"
+            lines[k] = f"{head}{sign} {NASTY[random.integers(len(NASTY))]}"
         elif way == 6:
             words = lines[k].split(" ")
-            words[random.integers(len(words))] = str(random.choice(NASTY))
+            words[random.integers(len(words))] = NASTY[random.integers(len(NASTY))]
             lines[k] = " ".join(words)
         else:
             at = int(random.integers(len(lines[k]) + 1))

@@ -5,8 +5,8 @@ that change places. Types, texts and what the compiler is told (`@njit(...)`) ar
 """
 
 import ast
-import copy
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from types import CodeType
 
@@ -37,31 +37,31 @@ class Mutant:
 
 def mutants(source: str) -> list[Mutant]:
     """Every mutant of the module `source`, in the order of its lines."""
-    original = ast.parse(source)
-    found = []
-    compiler = {id(part) for node in ast.walk(original) if isinstance(node, ast.FunctionDef)
+    tree = ast.parse(source)
+    compiler = {id(part) for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)
                 for decorator in node.decorator_list for part in ast.walk(decorator)}  # fmt: skip
-    for number, node in enumerate(ast.walk(original)):
-        if id(node) in compiler:
-            continue
-        for way, what in enumerate(_ways(node)):
-            tree = copy.deepcopy(original)
-            target = next(twin for k, twin in enumerate(ast.walk(tree)) if k == number)
-            list(_ways(target, apply=way))
-            code = compile(ast.fix_missing_locations(tree), "<mutant>", "exec")
+    found = []
+    for node in [node for node in ast.walk(tree) if id(node) not in compiler]:
+        for what, field, value in _edits(node):
+            with _edited(node, field, value):
+                code = compile(ast.fix_missing_locations(tree), "<mutant>", "exec")
             found.append(Mutant(getattr(node, "lineno", 0), what, code))
     return sorted(found, key=lambda mutant: mutant.line)
 
 
-def _ways(node: ast.AST, apply: int = -1) -> Iterator[str]:
-    """What can be done to `node`, in words; the one numbered `apply` is done."""
-    for k, (what, field, value) in enumerate(_edits(node)):
-        if k == apply:
-            if isinstance(field, tuple):
-                getattr(node, field[0])[field[1]] = value
-            else:
-                setattr(node, field, value)
-        yield what
+@contextmanager
+def _edited(node: ast.AST, field: str | tuple[str, int], value: object) -> Iterator[None]:
+    """`node` with another value in a field, or in one place of a field that is a list."""
+    if isinstance(field, tuple):
+        values = getattr(node, field[0])
+        former, values[field[1]] = values[field[1]], value
+        yield
+        values[field[1]] = former
+    else:
+        former = getattr(node, field)
+        setattr(node, field, value)
+        yield
+        setattr(node, field, former)
 
 
 Edit = tuple[str, str | tuple[str, int], object]
