@@ -119,7 +119,7 @@ def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
     good = verify(unit, text.replace("=servohil\n", "=daemon\n"))
     assert good == "", good
     assert "Sheduling" in verify(unit, text.replace("[Install]", "Sheduling=fifo\n[Install]"))
-    assert "WatchdogSec" in verify(unit, text.replace("WatchdogSec=2", "WatchdogSec=two"))
+    assert "parse sec value" in verify(unit, text.replace("WatchdogSec=2", "WatchdogSec=two"))
 
 
 def verify(unit: Path, text: str) -> str:
