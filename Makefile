@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 BIN := .venv/bin
 STAMP := .venv/.locked
 
-.PHONY: setup bench test nightly check test-socketcan proto lock clean
+.PHONY: setup bench test nightly mutants check test-socketcan proto lock clean
 
 setup: $(STAMP)
 
@@ -27,6 +27,10 @@ test: setup check
 # Grids and long Monte Carlo that take minutes.
 nightly: setup
 	$(BIN)/pytest -m nightly --timeout 3000
+
+# Every small mistake in the safety gate and the end-to-end protection must be found by their tests; half an hour.
+mutants: setup
+	$(BIN)/python tests/mutation/run.py
 
 check: setup
 	$(BIN)/ruff check .

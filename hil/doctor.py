@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
 from servohil.drivers.can_network import MULTICAST_ROUTE_COMMAND, bring_up_command
+from servohil.hil.doctor_can import complaints
 from servohil.hil.doctor_probes import CONTROLLER_ADDRESS_SPACE_BYTES, Machine, Needs, probe
 
 if TYPE_CHECKING:
@@ -18,6 +19,9 @@ LEAST_PYTHON: Final = (3, 11)
 REALTIME_LIMITS: Final = (
     "printf '@servohil - rtprio 90\\n@servohil - memlock unlimited\\n' | sudo tee /etc/security/limits.d/servohil.conf"
     " && sudo groupadd -f servohil && sudo usermod -aG servohil $USER  # then log in again"
+)
+ISOLATE: Final = (
+    "add isolcpus=managed_irq,domain,3 nohz_full=3 irqaffinity=0-2 to the kernel's command line (docs/deploy.md)"
 )
 
 
@@ -88,6 +92,13 @@ def _bus(machine: Machine, needs: Needs) -> list[Check]:
     else:
         fix = "sudo modprobe can-raw vcan  # or a kernel with CONFIG_CAN"
         checks.append(Check("can in kernel", missing, f"AF_CAN: {machine.can_socket_error}{instead}", fix))
+    if machine.can_link is not None:
+        wrong = complaints(needs.channel, machine.can_link)
+        checks += [Check("can link", "warn", f"{needs.channel} {why}", fix) for why, fix in wrong]
+        if not wrong:
+            checks.append(
+                Check("can link", "ok", f"{needs.channel} comes back after a bus-off, and its queue is short")
+            )
     if machine.local_bus_error is None:
         checks.append(Check("embedded bus", "ok", "Unix datagram sockets pass frames"))
     else:
@@ -138,6 +149,11 @@ def _realtime(machine: Machine, needs: Needs) -> list[Check]:
     else:
         reason = f"{machine.kernel} is not PREEMPT_RT: wake-ups can come milliseconds late"
         checks.append(Check("kernel", "warn", reason, "sudo apt install linux-image-rt-amd64  # then reboot"))
+    if machine.isolated:
+        checks.append(Check("isolated cpus", "ok", machine.isolated))
+    else:
+        reason = "none: any other program may run where the loop does"
+        checks.append(Check("isolated cpus", "warn", reason, ISOLATE))
     return checks
 
 

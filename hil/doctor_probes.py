@@ -23,6 +23,8 @@ from typing import Final
 
 from packaging.requirements import Requirement
 
+from servohil.hil.doctor_can import CanLink, can_link
+
 DISTRIBUTION: Final = "servohil"
 IFF_UP: Final = 0x1
 ARPHRD_CAN: Final = "280"
@@ -68,6 +70,7 @@ class Machine:
     asammdf_importable: bool
     can_socket_error: str | None
     channel_state: str  # "up", "down", "absent", "not CAN"
+    can_link: CanLink | None  # None where the channel is no CAN interface
     multicast_error: str | None
     local_bus_error: str | None
     fifo_error: str | None
@@ -77,6 +80,7 @@ class Machine:
     governors: tuple[str, ...]  # distinct ones; empty where the kernel scales no frequency
     kernel: str
     kernel_realtime: bool
+    isolated: str  # processors that the scheduler leaves alone, as "3" or "2-3"; empty: none
     numba_cache_error: str | None
     numba_cache_entries: int
     port_error: str | None
@@ -227,6 +231,14 @@ def shm_error(folder: str = "/dev/shm") -> str | None:
     return None
 
 
+def isolated(path: Path = Path("/sys/devices/system/cpu/isolated")) -> str:
+    """The processors isolated on the kernel's command line; empty for none."""
+    try:
+        return path.read_text().strip()
+    except OSError:
+        return ""
+
+
 def _kernel_realtime() -> bool:
     flag = Path("/sys/kernel/realtime")
     return (flag.exists() and flag.read_text().strip() == "1") or "PREEMPT_RT" in platform.version()
@@ -243,6 +255,7 @@ def probe(needs: Needs) -> Machine:
         asammdf_importable=importlib.util.find_spec("asammdf") is not None,
         can_socket_error=can_socket_error(),
         channel_state=channel_state(needs.channel),
+        can_link=can_link(needs.channel) if channel_state(needs.channel) in {"up", "down"} else None,
         multicast_error=multicast_error(needs.channel if needs.interface == "udp_multicast" else MULTICAST_GROUP),
         local_bus_error=local_bus_error(),
         fifo_error=fifo,
@@ -252,6 +265,7 @@ def probe(needs: Needs) -> Machine:
         governors=governors(),
         kernel=platform.release(),
         kernel_realtime=_kernel_realtime(),
+        isolated=isolated(),
         numba_cache_error=cache_error,
         numba_cache_entries=cache_entries,
         port_error=port_error(needs.listen),

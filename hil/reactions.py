@@ -20,11 +20,14 @@ def read_table(path: Path = TABLE) -> dict[Event, dict[str, Any]]:
     """The entries of the file, one per event in the order of their bits.
 
     Raises:
-        ReactionsError: an event is missing or unknown; a key is missing, unknown or of the wrong type; the reaction is
-            unknown; a fault is not latched; an event that the gate always stops on has another reaction.
+        ReactionsError: the file is not TOML; an event is missing or unknown; a key is missing, unknown or of the wrong
+            type; the reaction is unknown; a fault is not latched; an event that the gate always stops on has another
+            reaction.
     """
-    with path.open("rb") as file:
-        entries: dict[str, dict[str, Any]] = tomllib.load(file)
+    try:
+        entries: dict[str, dict[str, Any]] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise ReactionsError(f"{path}: not TOML: {error}") from error
     for name in entries:
         if name not in Event.__members__:
             raise ReactionsError(f"{path}: {name}: unknown event; allowed: {', '.join(Event.__members__)}")
@@ -36,6 +39,8 @@ def read_table(path: Path = TABLE) -> dict[Event, dict[str, Any]]:
 def _check(path: Path, event: Event, entry: dict[str, Any] | None) -> None:
     if entry is None:
         raise ReactionsError(f"{path}: {event.name}: missing; every event needs an entry")
+    if not isinstance(entry, dict):
+        raise ReactionsError(f"{path}: {event.name} = {entry!r}: must be a table with {', '.join(KEYS)}")
     for key in entry:
         if key not in KEYS:
             raise ReactionsError(f"{path}: {event.name}.{key}: unknown key; allowed: {', '.join(KEYS)}")

@@ -23,7 +23,7 @@ def recorded_controller(recording: Recording, folder: Path) -> Cycle:
     missing = [name for name in (RIG_TOML, RIG_DBC) if name not in recording.attachments]
     if missing:
         raise RecordingError(f"{recording.path} carries no {', '.join(missing)}: it cannot be replayed")
-    dbc = folder / Path(recording.metadata["dbc_name"]).name  # a name from a file: never a path
+    dbc = folder / Path(recording.metadata.get("dbc_name", RIG_DBC)).name  # a name from a file: never a path
     dbc.write_bytes(recording.attachments[RIG_DBC])
     toml = folder / RIG_FILE
     toml.write_bytes(recording.attachments[RIG_TOML])

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import zstandard
+from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -191,14 +192,17 @@ class Recording:
                 if topic == STATE:
                     snapshot = snapshot_of(record.data)
                 elif topic == INPUTS:
+                    if not snapshot:
+                        raise EncodingError("inputs before any state")
                     yield Cycle(snapshot, CycleInputs.FromString(record.data).payload)
                 elif topic == CHECKPOINT:
                     yield Checkpoint(CheckpointMessage.FromString(record.data).state)
                 elif topic == EVENT:
                     content = json.loads(record.data)
-                    yield Gap(content["lost"]) if content.get("code") == GAP_CODE else Event(content)
-            except EncodingError as error:
-                raise RecordingError(f"{self.path}: {error}") from error
+                    yield Gap(int(content["lost"])) if content.get("code") == GAP_CODE else Event(content)
+            except (EncodingError, DecodeError, ValueError, KeyError, AttributeError, RecursionError) as error:
+                reason = str(error) or type(error).__name__
+                raise RecordingError(f"{self.path}: a message on {topic!r} is not ours: {reason}") from error
 
     def replayable(self) -> Iterator[Checkpoint | Cycle]:
         """Checkpoints, and the cycles that one of them leads to without a gap. Others are left out."""

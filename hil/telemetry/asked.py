@@ -52,7 +52,7 @@ def wanted_value(query: zenoh.Query) -> float | None:
         return None
     try:
         value = float(text)
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         value = math.nan
     if isinstance(text, bool) or not math.isfinite(value):
         raise ValueError(f"value {str(text)[:80]!r}: expected a finite number")

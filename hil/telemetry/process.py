@@ -19,6 +19,7 @@ from servohil.hil.telemetry.queryables import Desk, Documents
 from servohil.hil.telemetry.schema import descriptor_set, meta, proto_text
 from servohil.hil.telemetry.session import check_doors, close_session, open_client, open_hub
 from servohil.hil.telemetry.setup import TelemetrySetup
+from servohil.hil.watchdog_notify import WatchdogNotify
 
 EXIT_DONE: Final = 0
 EXIT_CONTROLLER_DIED: Final = 3
@@ -57,6 +58,7 @@ class Telemetry:
         self._slow_ns = 0
         self._told_recording_error = False
         self._beat, self._beat_ns, self._stalled = -1, 0, False
+        self._watchdog = WatchdogNotify()
 
     def _open_recording(self) -> RecordingWriter | None:
         setup = self.setup
@@ -149,6 +151,7 @@ class Telemetry:
 
     def _watch_beat(self, now_ns: int) -> None:
         beat = self.ring.heartbeat
+        self._watchdog.beat(beat)
         if beat != self._beat:
             self._beat, self._beat_ns = beat, now_ns
         stalled = beat >= 0 and now_ns - self._beat_ns > STALL_NS

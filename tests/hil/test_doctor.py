@@ -10,6 +10,7 @@ import pytest
 
 from servohil.hil import doctor_probes
 from servohil.hil.doctor import Check, Status, doctor_lines, exit_code, judge, needs_of, run_doctor
+from servohil.hil.doctor_can import CanLink
 from servohil.hil.doctor_probes import (
     Machine,
     Needs,
@@ -17,6 +18,7 @@ from servohil.hil.doctor_probes import (
     channel_state,
     free_bytes,
     governors,
+    isolated,
     local_bus_error,
     multicast_error,
     numba_cache,
@@ -33,6 +35,7 @@ HEALTHY = Machine(
     asammdf_importable=False,
     can_socket_error=None,
     channel_state="up",
+    can_link=CanLink(16, 100),
     multicast_error=None,
     local_bus_error=None,
     fifo_error=None,
@@ -42,6 +45,7 @@ HEALTHY = Machine(
     governors=("performance",),
     kernel="6.1.0-rt",
     kernel_realtime=True,
+    isolated="3",
     numba_cache_error=None,
     numba_cache_entries=12,
     port_error=None,
@@ -106,6 +110,9 @@ def test_healthy_machine_has_no_complaint() -> None:
         ),
         ({"cores": 1}, {}, "cores", "warn", "core"),
         ({"governors": ("performance", "powersave")}, {}, "cpu governor", "warn", "cpupower"),
+        ({"isolated": ""}, {}, "isolated cpus", "warn", "isolcpus"),
+        ({"can_link": CanLink(16, 0)}, {"channel": "can0"}, "can link", "warn", "can0 up type can restart-ms"),
+        ({"can_link": CanLink(1000, None)}, {}, "can link", "warn", "vcan0 txqueuelen 16"),
         ({"kernel_realtime": False}, {}, "kernel", "warn", "linux-image-rt"),
         ({"numba_cache_error": "Read-only file system"}, {}, "compile cache", "fail", "NUMBA_CACHE_DIR"),
         ({"numba_cache_entries": 0}, {}, "compile cache", "warn", "hil bench --lockstep"),
@@ -159,6 +166,13 @@ def test_channel_states(tmp_path: Path) -> None:
     states = {name: channel_state(name, tmp_path) for name in ("can0", "can1", "eth0", "can9", "", "../x")}
     assert states == {"can0": "up", "can1": "down", "eth0": "not CAN", "can9": "absent", "": "absent", "../x": "absent"}
     assert channel_state("lo") == "not CAN"
+
+
+def test_isolated_processors(tmp_path: Path) -> None:
+    (tmp_path / "isolated").write_text("2-3\n")
+    assert isolated(tmp_path / "isolated") == "2-3"
+    (tmp_path / "isolated").write_text("\n")
+    assert isolated(tmp_path / "isolated") == isolated(tmp_path / "absent") == ""
 
 
 def test_governors(tmp_path: Path) -> None:

@@ -88,3 +88,56 @@ def test_after_an_emergency_stop_nothing_moves_without_reset_and_then_a_new_perm
         assert got.permitted_v == 0.0
         assert not got.enable
         state = got.state
+
+
+@settings(max_examples=60, deadline=None)
+@given(HISTORIES, st.sampled_from(sorted(BY_LEAK_REACTION)), REQUESTS, st.booleans(), st.integers(0, 10))
+def test_a_stop_is_zero_volts_in_its_own_cycle_after_any_history(
+    history: list[Cycle], leak: str, requested: float, ready: bool, command: int
+) -> None:
+    reactions = BY_LEAK_REACTION[leak]
+    state = POWER_UP
+    for cycle in history:
+        state = step(state, cycle, reactions).state
+        for event in Event:
+            if event & (reactions.stop | Event.ESTOP | Event.NOT_FINITE | Event.INTERNAL_ERROR):
+                got = step(state, (int(event), command, requested, ready, 1), reactions)
+                assert (got.state.device_state, got.permitted_v) == (DeviceState.FAULT_DISABLED, 0.0)
+                assert not got.enable
+                assert got.state.fault & event
+
+
+@settings(max_examples=60, deadline=None)
+@given(HISTORIES, st.floats(-12.0, 12.0))
+def test_re_arming_starts_from_zero_volts_after_any_history(history: list[Cycle], requested: float) -> None:
+    """Reset never moves, the first cycle of HOLD carries nothing, and from there the slew limit holds."""
+    reactions = BY_LEAK_REACTION["none"]
+    state = POWER_UP
+    for cycle in history:
+        state = step(state, cycle, reactions).state
+    state = step(state, (0, int(Command.ESTOP), requested, True, 1), reactions).state
+    reset = step(state, (0, int(Command.RESET), requested, True, 1), reactions)
+    assert reset.state == GateState(DeviceState.DISABLED, DeviceState.DISABLED, 0, 0, 0.0)
+    waiting = step(reset.state, (0, 0, requested, True, 1), reactions)
+    assert waiting.state == reset.state
+    hold = step(waiting.state, (0, int(Command.ENABLE), requested, True, 1), reactions)
+    assert (hold.state.device_state, hold.permitted_v, hold.enable) == (DeviceState.HOLD, 0.0, True)
+    active = step(hold.state, (0, 0, requested, True, 1), reactions)
+    assert active.state.device_state == DeviceState.ACTIVE
+    assert active.permitted_v == max(-STEP_V, min(STEP_V, requested))
+
+
+@settings(max_examples=60, deadline=None)
+@given(HISTORIES, st.lists(ROUGH, min_size=5, max_size=5))
+def test_a_ramp_is_over_in_time_whatever_comes_meanwhile(history: list[Cycle], meanwhile: list[Cycle]) -> None:
+    reactions = BY_LEAK_REACTION["none"]
+    state = POWER_UP
+    for cycle in history:
+        state = step(state, cycle, reactions).state
+    volts = abs(state.command_v)
+    for events, command, requested, ready, periods in [(int(Event.SENSOR_STALE), 0, 0.0, False, 1), *meanwhile[1:]]:
+        got = step(state, (events, command, requested, ready, periods), reactions)
+        assert abs(got.permitted_v) <= volts
+        state, volts = got.state, abs(got.permitted_v)
+    assert volts == 0.0
+    assert state.device_state != DeviceState.FAULT_REACTION
