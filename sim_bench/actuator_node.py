@@ -7,7 +7,7 @@ the next period on, as over a real bus.
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +99,18 @@ class _Output(NamedTuple):
         return cls(index, can_id, np.zeros(len(slots)), codec.minimum[part], codec.maximum[part])
 
 
+class Damage(Protocol):
+    """What faults do inside the node, between command and spool and between plant and frames."""
+
+    def spool_v(self, command_v: float) -> float:
+        """Where the spool is to be, with this command in force, V."""
+        ...
+
+    def falsify(self, readings: NDArray[np.float64]) -> None:
+        """Change readings (6,), SI units, in place."""
+        ...
+
+
 class ActuatorNode:
     """One cylinder on the bus.
 
@@ -106,9 +118,12 @@ class ActuatorNode:
         rig: the rig's configuration; `[plant]` describes the truth.
         leak: the leak to inject, or None.
         log: where the truth goes.
+
+    `damage` may be set at any time.
     """
 
     def __init__(self, rig: Rig, leak: LeakPlan | None, log: TruthLog) -> None:
+        self.damage: Damage | None = None
         settings = plant_section(rig)
         self.period_ns = rig.loop.period_ns
         self.dt = self.period_ns / NS_PER_S
@@ -159,12 +174,15 @@ class ActuatorNode:
 
     def _advance(self) -> float:
         """One period with the command as it stands; where the spool is then, V."""
-        self.plant.step(self.spool_v, self._rng.standard_normal(N_STATES), self.dt)
+        wanted = self.spool_v if self.damage is None else self.damage.spool_v(self.spool_v)
+        self.plant.step(wanted, self._rng.standard_normal(N_STATES), self.dt)
         return self.plant.spool_v
 
     def _measure(self, spool_v: float) -> list[tuple[int, bytes]]:
         plant, codec = self.plant, self.codec
         readings = self._sensors.read(plant.state, plant.supply_at_valve_pa, plant.tank_pa, spool_v)
+        if self.damage is not None:
+            self.damage.falsify(readings)
         state = DeviceState.ACTIVE if self._driving else DeviceState.DISABLED
         for (values, position), reading in zip(self._places, (*readings, float(status_word(state))), strict=True):
             values[position] = reading
