@@ -36,6 +36,7 @@ TRUTH = np.dtype(
         ("leak", "<f8"),
         ("leak_kind", "<i8"),
         ("active", "<i8"),
+        ("command_ns", "<i8"),  # when the last valid command came, -1 before the first
     ]
 )
 LEAK_KINDS: Final = tuple(LEAKS)  # in the truth log by number, from 1; 0 = no leak
@@ -215,11 +216,13 @@ class ActuatorNode:
             self._leaking = True
 
     def _log(self, t_ns: int, spool_v: float) -> None:
-        x, leak = self.plant.state, self._leak
+        x, leak, commanded_ns = self.plant.state, self._leak, self._last_command_ns
         leaking = self._leaking and leak is not None
         kind = LEAK_KINDS.index(leak.kind) + 1 if leaking and leak else 0
         size = leak.coefficient if leaking and leak else 0.0
-        self.log.append((t_ns, x[0], x[1], x[2], x[3], spool_v, size, kind, int(self.active_since_ns >= 0)))
+        self.log.append(
+            (t_ns, x[0], x[1], x[2], x[3], spool_v, size, kind, int(self.active_since_ns >= 0), self._last_command_ns)
+        )
 
 
 def plant_section(rig: Rig) -> Plant:
