@@ -220,9 +220,8 @@ class ActuatorNode:
         leaking = self._leaking and leak is not None
         kind = LEAK_KINDS.index(leak.kind) + 1 if leaking and leak else 0
         size = leak.coefficient if leaking and leak else 0.0
-        self.log.append(
-            (t_ns, x[0], x[1], x[2], x[3], spool_v, size, kind, int(self.active_since_ns >= 0), self._last_command_ns)
-        )
+        active = int(self.active_since_ns >= 0)
+        self.log.append((t_ns, x[0], x[1], x[2], x[3], spool_v, size, kind, active, commanded_ns))
 
 
 def plant_section(rig: Rig) -> Plant:
