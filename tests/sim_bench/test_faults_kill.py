@@ -27,12 +27,11 @@ def log(last_command: int, centred_at: int) -> np.ndarray:
 
 def test_the_log_is_read_right() -> None:
     kill = centred(log(40, 62), 41 * PERIOD - 1, PERIOD)
-    assert kill.cycles == 21
+    assert kill is not None and kill.cycles == 21
     assert kill.wall_s == pytest.approx(21e-3, abs=1e-8)
     with pytest.raises(BenchError, match="never"):
         centred(log(40, 100), 41 * PERIOD, PERIOD)
-    with pytest.raises(BenchError, match="before"):
-        centred(log(40, 30), 41 * PERIOD, PERIOD)
+    assert centred(log(40, 30), 41 * PERIOD, PERIOD) is None
 
 
 @pytest.mark.processes
@@ -44,6 +43,7 @@ def test_the_spool_is_centred_one_cycle_after_the_timeout_at_the_latest(tmp_path
     timeout = round(rig.plant.command_timeout_s * rig.loop.rate_hz)
     with AwakeProcessors():  # as the bench does: a shared virtual machine stalls sleeping loops otherwise
         kills = kill_controller(rig, runs, tmp_path)
-    assert len(kills) == runs
+    assert 1 <= len(kills) <= runs  # at the others a stalled machine had the spool at its centre already
+    assert runs < 50 or len(kills) >= 40
     assert max(kill.cycles for kill in kills) <= timeout + 1
     assert runs < 50 or median(kill.wall_s for kill in kills) <= 0.025
