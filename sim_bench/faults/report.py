@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from servohil.hil.gate import DeviceState, Event, Reaction
 from servohil.hil.reactions import NAMES, read_table
-from servohil.sim_bench.faults.kinds import FOREVER, Fault
+from servohil.sim_bench.faults.kinds import FOREVER, Fault, Operator
 
 NS_PER_S: Final = 1_000_000_000
 
@@ -26,7 +26,7 @@ def event_names(bits: int) -> list[str]:
 def fault_report(scenario: Sequence[Fault], snapshots: NDArray[np.void], period_ns: int) -> list[dict[str, Any]]:
     """One entry per fault; times in s from the first ACTIVE cycle, None where there was no reaction.
 
-    A reaction is an event that the gate acts on, or another device state than at the onset.
+    A reaction is an event that the gate acts on; to an operator's command, another device state.
     """
     mask = reacting_events()
     since = snapshots["active_t_ns"] // period_ns
@@ -43,8 +43,10 @@ def fault_report(scenario: Sequence[Fault], snapshots: NDArray[np.void], period_
         at = int(np.searchsorted(since, first))
         if entry["set_in"]:
             told = snapshots[at:]
-            changed = told["state"] != snapshots["state"][max(0, at - 1)]
-            reacted = np.flatnonzero(((told["events"] & mask) != 0) | changed)
+            reactions = (told["events"] & mask) != 0
+            if isinstance(fault, Operator):
+                reactions |= told["state"] != snapshots["state"][max(0, at - 1)]
+            reacted = np.flatnonzero(reactions)
             if reacted.size:
                 row = told[reacted[0]]
                 entry["reacted_at_s"] = float(row["active_t_ns"]) / NS_PER_S

@@ -145,14 +145,16 @@ def test_the_report_of_a_bench_says_when_the_controller_reacted() -> None:
     snapshots["events"][500:] = Event.COMMAND_CLIPPED  # leads to nothing
     snapshots["events"][1510:] |= Event.SENSOR_STALE
     snapshots["state"][1511:] = DeviceState.FAULT_REACTION
+    snapshots["events"][2500:] = Event.COMMAND_CLIPPED
+    snapshots["state"][2500:] = DeviceState.DISABLED  # the end of the run
     scenario = (
         *one("frames_dropped", at_s=1.0, for_s=0.5), *one("air", at_s=1.2), *one("air", at_s=5.0),
-        *one("load", at_s=0.5, for_cycles=1),
+        *one("load", at_s=0.5, for_cycles=1), *one("operator", at_s=1.9), *one("load", at_s=2.0),
     )  # fmt: skip
     report = fault_report(scenario, snapshots, 1_000_000)
-    assert [entry["reacted_at_s"] for entry in report] == [1.01, 1.2, None, 1.01]
+    assert [entry["reacted_at_s"] for entry in report] == [1.01, 1.2, None, 1.01, 1.9, None]
     assert report[0]["events"] == ["SENSOR_STALE"] and report[0]["state"] == "ACTIVE"
-    assert [entry["set_in"] for entry in report] == [True, True, False, True]
+    assert [entry["set_in"] for entry in report] == [True, True, False, True, True, True]
     lines = fault_lines({"faults": report})
     assert "frames_dropped at 1.000 s, for 0.5 s: ACTIVE at 1.010 s SENSOR_STALE" in lines[0]
     assert "ended before" in lines[2]
