@@ -224,15 +224,13 @@ class Cycle:
         self._apply_parameters()
 
     def _events(self, inputs: InputsHeader, sensed: SensorView, status: int) -> int:
-        words, limits = self._words, self.rig.limits
+        words, limits, view = self._words, self.rig.limits, self._estimate_view
         found = events.loop_events(int(words[OVERRUNS_IN_A_ROW]), limits.overruns_hold, limits.overruns_fault)
         if words[STARTED]:
             found |= events.sensor_events(sensed, self._bounds, inputs.skipped * self.period_ns)
-            view = self._estimate_view
             found |= events.estimate_events(float(view.x[1]), self._bounds, bool(status & DIVERGED))
-            found |= self._supervision.events(
-                sensed.position_m, view.innovation_m, inputs.tx_failed, 1 + inputs.skipped
-            )
+            tx, periods = inputs.tx_failed, 1 + inputs.skipped
+            found |= self._supervision.events(sensed.position_m, view.innovation_m, tx, periods)
         others = 0 if self.listen_only else int(self.codec.counters[self._command_index, OWN_ID])
         if others > words[OTHER_COMMANDERS]:
             words[OTHER_COMMANDERS] = others

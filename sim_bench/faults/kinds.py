@@ -1,8 +1,4 @@
-"""The kinds of faults that a scenario may list: one table of parameters each, checked like a rig file.
-
-Values of a sensor are in its SI unit (m, Pa, V). Time zero is the first ACTIVE cycle; the next is the first that can
-have a fault.
-"""
+"""The kinds of faults of a scenario, one table of parameters each; a sensor's values are in its SI unit (m, Pa, V)."""
 
 from typing import Annotated, ClassVar, Final, Literal, Self
 
@@ -37,9 +33,8 @@ class Fault(Section):
     def window(self, period_s: float) -> tuple[int, int]:
         """(first cycle, first cycle after it), counted from the first ACTIVE cycle, which is number 0."""
         first = self.at_cycle if self.at_cycle is not None else max(1, round((self.at_s or 0.0) / period_s))
-        if self.for_cycles is not None:
-            return first, first + self.for_cycles
-        return first, FOREVER if self.for_s is None else first + max(1, round(self.for_s / period_s))
+        length = FOREVER if self.for_s is None else max(1, round(self.for_s / period_s))
+        return first, min(FOREVER, first + (self.for_cycles or length))
 
 
 class NodeFault(Fault):
@@ -294,7 +289,6 @@ class ParameterChange(Fault):
     value: float
 
 
-ONCE: Final = (Operator, ParameterChange)
 CLASSES: Final[tuple[type[Fault], ...]] = (
     SensorNan, SensorRange, SensorStuck, SensorJump, SensorDrift, SensorNoise, SpoolStuck, SpoolNotCentring, SlowValve,
     SupplyLoss, HoseBurst, EndStop, Air, Load, FramesDropped, FramesDelayed, FramesDuplicated, FramesStale, WrongCrc,
