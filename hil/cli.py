@@ -15,6 +15,9 @@ from servohil.hil.evaluate_cli import evaluate
 from servohil.hil.secure_cli import secure
 
 LEAK_KIND = click.Choice(["internal", "external_a", "external_b"])
+FAULTS = click.option(
+    "--faults", type=click.Path(path_type=Path), help="Inject the faults of this file (docs/faults.md)."
+)
 
 
 class Finite(click.FloatRange):
@@ -101,15 +104,23 @@ def run(
 @click.option("--leak-kind", type=LEAK_KIND, default="internal", show_default=True)
 @click.option("--truth", type=click.Path(path_type=Path), help="Save the true states here (.npy) at the end.")
 @click.option("--log", type=POSITIVE, default=600.0, help="Seconds of truth to keep (the last ones).")
+@FAULTS
 @stop_with_parent_option
 def rig(
-    rig: Path, leak_at: float | None, leak: float, leak_kind: str, truth: Path | None, log: float, parent: int | None
+    rig: Path,
+    leak_at: float | None,
+    leak: float,
+    leak_kind: str,
+    truth: Path | None,
+    log: float,
+    faults: Path | None,
+    parent: int | None,
 ) -> None:
     """Run the simulated actuator node of RIG on its bus, until stopped; RIG = FILE.py: a plant of your own."""
     follow(parent)
     plant = plant_file(rig)
     if plant is not None:
-        refuse_given(("leak_at", "leak", "leak_kind"), "only the cylinder leaks")
+        refuse_given(("leak_at", "leak", "leak_kind", "faults"), "only the cylinder leaks and breaks")
         with one_clear_line():
             from servohil.sim_bench.plant_rig.command import plant_rig_command
 
@@ -120,16 +131,19 @@ def rig(
         from servohil.drivers.open_port import open_port
         from servohil.hil.assemble import command_message, load_bus_codec, sensor_messages
         from servohil.sim_bench.actuator_node import LeakPlan
+        from servohil.sim_bench.faults.scenario import check_scenario, load_scenario
         from servohil.sim_bench.node_process import run_node
 
         loaded = load(rig)
+        scenario = () if faults is None else load_scenario(faults)
+        check_scenario(scenario, loaded, lockstep=False)
         plan = None if leak_at is None else LeakPlan(leak_at, leak, leak_kind)
         ids = load_bus_codec(loaded, [command_message(loaded)], sensor_messages(loaded)).receive_ids
         port = open_port(loaded.bus.interface, loaded.bus.channel, receive_ids=ids, options=loaded.bus.options)
         try:
             with BusLock(port.name, "node"):
                 click.echo(f"bus: {port.reason}")
-                steps = run_node(loaded, port, plan, truth, log)
+                steps = run_node(loaded, port, plan, truth, log, scenario)
         finally:
             port.close()
     click.echo(f"{steps} steps")
@@ -158,6 +172,7 @@ def telemetry(setup: Path) -> None:
 @click.option("--seed", type=click.IntRange(min=0), help="Of the simulated noise (default: as in RIG).")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the report here as well.")
 @click.option("--protocol-only", is_flag=True, help="Judge states, leak and end, not accuracy or rate.")
+@FAULTS
 def bench(
     rig: Path,
     duration: float,
@@ -169,6 +184,7 @@ def bench(
     seed: int | None,
     json_path: Path | None,
     protocol_only: bool,
+    faults: Path | None,
 ) -> None:
     """Close the loop on a simulated cylinder, inject a leak, and report; RIG = FILE.py: on a plant of your own."""
     plant = plant_file(rig)
@@ -177,14 +193,16 @@ def bench(
 
         say_when_compiling()
         if plant is not None:
-            refuse_given(("rate", "leak_at", "leak", "leak_kind", "seed", "protocol_only"), "says the plant's file")
+            mine = ("rate", "leak_at", "leak", "leak_kind", "seed", "protocol_only", "faults")
+            refuse_given(mine, "says the plant's file")
             from servohil.sim_bench.plant_rig.command import plant_bench_command
 
             plant_bench_command(plant, duration, lockstep, new_folder("runs", plant.stem), json_path, click.echo)
             return
         from servohil.sim_bench.bench_command import bench_command
 
-        code = bench_command(rig, duration, rate, (leak_at, leak, leak_kind), lockstep, seed, json_path, protocol_only)
+        leaking = (leak_at, leak, leak_kind)
+        code = bench_command(rig, duration, rate, leaking, lockstep, seed, json_path, protocol_only, faults)
     sys.exit(code)
 
 

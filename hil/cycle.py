@@ -15,7 +15,7 @@ from servohil.drivers.codec import Kind
 from servohil.estimators.health import DIVERGED, GATED, NOT_FINITE_INPUT, REPAIRED
 from servohil.estimators.leakage import residual_monitor
 from servohil.estimators.leakage.levels import ALARM
-from servohil.hil import assemble, events, parameters
+from servohil.hil import assemble, events, parameters, supervision
 from servohil.hil.arena import Arena
 from servohil.hil.commands import Command, Result
 from servohil.hil.config import Rig
@@ -75,6 +75,7 @@ class Cycle:
                 "law": law.STATE_SIZE,
                 "parameters": parameters.N_PARAMETERS,
                 "command": 1,
+                "supervision": supervision.SIZE,
             },
             i8={"codec": codec_i8, "words": N_WORDS},
         )
@@ -87,6 +88,7 @@ class Cycle:
         self._reactions = load_reactions(rig.leakage.reaction)
         self._bounds = assemble.build_bounds(rig)
         self._sensing = Sensing(rig, self.codec)
+        self._supervision = supervision.Supervision(rig, self.arena.f8["supervision"])
         self._estimate_view = self._estimation.view
         self._tracking = Tracking(rig, self.arena.f8["law"], self.arena.f8["motion"])
         self.parameters = parameters.parameter_table(rig)
@@ -96,8 +98,7 @@ class Cycle:
         self._record = SnapshotRecord()
         self.snapshot = self._record.row
         self.snapshot_bytes = self._record.bytes
-        self._residuals = np.zeros(2)
-        self._variances = np.ones(2)
+        self._residuals, self._variances = np.zeros(2), np.ones(2)
         self._command_values = np.zeros(0)
         self.command_id = 0
         if not listen_only:
@@ -130,8 +131,7 @@ class Cycle:
         command, result = self._operator(inputs)
         found = self._events(inputs, sensed, status)
         device = int(words[DEVICE])
-        if self._diagnose(sensed.complete, skipped, t_ns):
-            found |= LEAK_ALARM
+        found |= LEAK_ALARM if self._diagnose(sensed.complete, skipped, t_ns) else 0
         x = self._estimate_view.x
         requested = self._tracking.command(
             device, inputs.cycle, x, self._sensing.u, float(self._command_v[0]), self._limits, 1 + skipped
@@ -224,18 +224,18 @@ class Cycle:
         self._apply_parameters()
 
     def _events(self, inputs: InputsHeader, sensed: SensorView, status: int) -> int:
-        words, limits = self._words, self.rig.limits
+        words, limits, view = self._words, self.rig.limits, self._estimate_view
         found = events.loop_events(int(words[OVERRUNS_IN_A_ROW]), limits.overruns_hold, limits.overruns_fault)
         if words[STARTED]:
             found |= events.sensor_events(sensed, self._bounds, inputs.skipped * self.period_ns)
-            found |= events.estimate_events(float(self._estimate_view.x[1]), self._bounds, bool(status & DIVERGED))
+            found |= events.estimate_events(float(view.x[1]), self._bounds, bool(status & DIVERGED))
+            tx, periods = inputs.tx_failed, 1 + inputs.skipped
+            found |= self._supervision.events(sensed.position_m, view.innovation_m, tx, periods)
         others = 0 if self.listen_only else int(self.codec.counters[self._command_index, OWN_ID])
         if others > words[OTHER_COMMANDERS]:
             words[OTHER_COMMANDERS] = others
             found |= SECOND_COMMANDER
-        if inputs.bus_flags:
-            found |= BUS_OFF_EVENT
-        return found
+        return found | (BUS_OFF_EVENT if inputs.bus_flags else 0)
 
     def _diagnose(self, complete: bool, skipped: int, t_ns: int) -> bool:
         """Run the residual test, and look what the diagnosis says; returns whether its leak alarm stands."""

@@ -76,6 +76,11 @@ class EstimateView:
         self._output_scale = self._scale[[0, 2, 3]]
 
     @property
+    def innovation_m(self) -> float:
+        """Measured minus predicted position of the last step, m."""
+        return float(self._innovation[0])
+
+    @property
     def nis(self) -> float:
         """Normalised innovation squared of the last step."""
         return float(self._nis[0])

@@ -7,7 +7,7 @@ the next period on, as over a real bus.
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,7 @@ TRUTH = np.dtype(
         ("leak", "<f8"),
         ("leak_kind", "<i8"),
         ("active", "<i8"),
+        ("command_ns", "<i8"),  # when the last valid command came, -1 before the first
     ]
 )
 LEAK_KINDS: Final = tuple(LEAKS)  # in the truth log by number, from 1; 0 = no leak
@@ -99,6 +100,18 @@ class _Output(NamedTuple):
         return cls(index, can_id, np.zeros(len(slots)), codec.minimum[part], codec.maximum[part])
 
 
+class Damage(Protocol):
+    """What faults do inside the node, between command and spool and between plant and frames."""
+
+    def spool_v(self, command_v: float) -> float:
+        """Where the spool is to be, with this command in force, V."""
+        ...
+
+    def falsify(self, readings: NDArray[np.float64]) -> None:
+        """Change readings (6,), SI units, in place."""
+        ...
+
+
 class ActuatorNode:
     """One cylinder on the bus.
 
@@ -106,9 +119,12 @@ class ActuatorNode:
         rig: the rig's configuration; `[plant]` describes the truth.
         leak: the leak to inject, or None.
         log: where the truth goes.
+
+    `damage` may be set at any time.
     """
 
     def __init__(self, rig: Rig, leak: LeakPlan | None, log: TruthLog) -> None:
+        self.damage: Damage | None = None
         settings = plant_section(rig)
         self.period_ns = rig.loop.period_ns
         self.dt = self.period_ns / NS_PER_S
@@ -159,12 +175,15 @@ class ActuatorNode:
 
     def _advance(self) -> float:
         """One period with the command as it stands; where the spool is then, V."""
-        self.plant.step(self.spool_v, self._rng.standard_normal(N_STATES), self.dt)
+        wanted = self.spool_v if self.damage is None else self.damage.spool_v(self.spool_v)
+        self.plant.step(wanted, self._rng.standard_normal(N_STATES), self.dt)
         return self.plant.spool_v
 
     def _measure(self, spool_v: float) -> list[tuple[int, bytes]]:
         plant, codec = self.plant, self.codec
         readings = self._sensors.read(plant.state, plant.supply_at_valve_pa, plant.tank_pa, spool_v)
+        if self.damage is not None:
+            self.damage.falsify(readings)
         state = DeviceState.ACTIVE if self._driving else DeviceState.DISABLED
         for (values, position), reading in zip(self._places, (*readings, float(status_word(state))), strict=True):
             values[position] = reading
@@ -197,11 +216,12 @@ class ActuatorNode:
             self._leaking = True
 
     def _log(self, t_ns: int, spool_v: float) -> None:
-        x, leak = self.plant.state, self._leak
+        x, leak, commanded_ns = self.plant.state, self._leak, self._last_command_ns
         leaking = self._leaking and leak is not None
         kind = LEAK_KINDS.index(leak.kind) + 1 if leaking and leak else 0
         size = leak.coefficient if leaking and leak else 0.0
-        self.log.append((t_ns, x[0], x[1], x[2], x[3], spool_v, size, kind, int(self.active_since_ns >= 0)))
+        active = int(self.active_since_ns >= 0)
+        self.log.append((t_ns, x[0], x[1], x[2], x[3], spool_v, size, kind, active, commanded_ns))
 
 
 def plant_section(rig: Rig) -> Plant:

@@ -32,6 +32,9 @@ from servohil.hil.telemetry_child import RECORDING_FILE, RESULT_FILE, TelemetryC
 from servohil.sim_bench.actuator_node import ActuatorNode, LeakPlan, TruthLog
 from servohil.sim_bench.awake import AwakeProcessors, virtual_machine
 from servohil.sim_bench.bench_processes import Child, RingWatch, watch_ring
+from servohil.sim_bench.faults.kinds import Fault
+from servohil.sim_bench.faults.lockstep import run_with_faults
+from servohil.sim_bench.faults.report import fault_report
 from servohil.sim_bench.node_process import warm_up
 from servohil.sim_bench.probe import Probe, connect_probe
 from servohil.sim_bench.report.score import RunFacts, score
@@ -40,6 +43,7 @@ TIMEOUTS_SEEN: Final = 10
 SUBSCRIBER_WAIT_S: Final = 60.0
 TRUTH_FILE: Final = "truth.npy"
 REPORT_FILE: Final = "report.json"
+FAULTS_FILE: Final = "faults.toml"
 LOOK_S: Final = 0.05
 BACKPRESSURE_S: Final = 0.0005
 AWAKE_PERIOD_NS: Final = 5_000_000  # slower loops do not mind a processor that wakes up late
@@ -54,12 +58,13 @@ class BenchError(RuntimeError):
 
 @dataclass(frozen=True)
 class BenchOptions:
-    """What the command line asks of a bench."""
+    """What the command line asks of a bench; the faults' file lies in the folder, where there are any."""
 
     folder: Path
     duration_s: float
     leak: LeakPlan | None
     lockstep: bool
+    faults: tuple[Fault, ...] = ()
 
 
 @dataclass
@@ -107,6 +112,8 @@ def run_bench(rig: Rig, options: BenchOptions, say: Say, show: Show) -> tuple[di
     report = score(logs.snapshots, logs.truth, logs.origin_ns, facts)
     report["provenance"] = provenance(config_hash=facts.config_hash, seed=facts.seed)
     report["exit_code"] = logs.exit_code
+    if options.faults:
+        report["faults"] = fault_report(options.faults, logs.snapshots, rig.loop.period_ns)
     return report, logs
 
 
@@ -128,6 +135,8 @@ def _realtime(rig: Rig, options: BenchOptions, say: Say, show: Show) -> BenchLog
     if options.leak:
         leak = options.leak
         node_arguments += ["--leak-at", str(leak.at_s), "--leak", repr(leak.coefficient), "--leak-kind", leak.kind]
+    if options.faults:
+        node_arguments += ["--faults", str(folder / FAULTS_FILE)]
     node = Child("rig", node_arguments)
     controller = Child(
         "run",
@@ -228,7 +237,10 @@ def _lockstep(rig: Rig, options: BenchOptions, say: Say, show: Show) -> BenchLog
                 probe.poll()
                 show(probe.snapshot, probe.received)
 
-        cycles = run_lockstep(cycle, node, script, sink)
+        if options.faults:
+            cycles = run_with_faults(cycle, node, options.faults, script, sink)
+        else:
+            cycles = run_lockstep(cycle, node, script, sink)
         result = LoopResult.of(cycle, cycles, ring.dropped, not child.alive())
         telemetry = child.finish(final_words(result))
     finally:

@@ -12,7 +12,9 @@ from servohil.hil.command_line import new_folder
 from servohil.hil.config import load_rig
 from servohil.hil.config.effective import write_effective
 from servohil.sim_bench.actuator_node import LeakPlan
-from servohil.sim_bench.bench import REPORT_FILE, BenchError, BenchOptions, run_bench
+from servohil.sim_bench.bench import FAULTS_FILE, REPORT_FILE, BenchError, BenchOptions, run_bench
+from servohil.sim_bench.faults.report import fault_lines
+from servohil.sim_bench.faults.scenario import check_scenario, load_scenario
 from servohil.sim_bench.report.page import render_page, write_page
 from servohil.sim_bench.report.verdicts import Limits, add_verdicts, summary_lines
 
@@ -78,6 +80,7 @@ def bench_command(
     seed: int | None,
     json_path: Path | None,
     protocol_only: bool,
+    faults_path: Path | None = None,
 ) -> int:
     """Run the bench and write everything it leaves behind; returns the exit code.
 
@@ -93,11 +96,15 @@ def bench_command(
     check(source)
     leak_at_s, coefficient, kind = leak
     plan = LeakPlan(leak_at_s, coefficient, kind) if coefficient > 0.0 and leak_at_s < duration_s else None
+    faults = () if faults_path is None else load_scenario(faults_path)
+    check_scenario(faults, source, lockstep=lockstep)
     folder = new_folder(source.recording.directory, source.name)
     rig = write_effective(source, folder, rate_hz, seed)
+    if faults_path is not None:
+        shutil.copyfile(faults_path, folder / FAULTS_FILE)
     live = LiveLine()
     try:
-        report, logs = run_bench(rig, BenchOptions(folder, duration_s, plan, lockstep), live.say, live.show)
+        report, logs = run_bench(rig, BenchOptions(folder, duration_s, plan, lockstep, faults), live.say, live.show)
     except BenchError as error:
         live.clear()
         sys.stderr.write(f"hil: {error}\n")
@@ -108,7 +115,7 @@ def bench_command(
     (folder / REPORT_FILE).write_text(text + "\n", encoding="utf-8")
     if json_path is not None:
         shutil.copyfile(folder / REPORT_FILE, json_path)
-    for line in summary_lines(report):
+    for line in [*summary_lines(report), *fault_lines(report)]:
         live.say(line)
     page = render_page(
         report, logs.snapshots, logs.truth, logs.origin_ns, title=rig.name, config_text=rig.path.read_text("utf-8")

@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Final
@@ -15,6 +16,8 @@ from servohil.hil.config import Rig
 from servohil.hil.pacer import Pacer
 from servohil.hil.realtime_setup import make_realtime
 from servohil.sim_bench.actuator_node import ActuatorNode, LeakPlan, TruthLog, plant_section
+from servohil.sim_bench.faults.kinds import Fault
+from servohil.sim_bench.faults.node_faults import NodeFaults
 
 NODE_PHASE: Final = 0.0  # the controller's default is half a period later
 DRY_STEPS: Final = 50
@@ -43,7 +46,9 @@ def warm_up(rig: Rig) -> None:
         node.step(frames, 0, k * node.period_ns, 1)
 
 
-def run_node(rig: Rig, port: Port, leak: LeakPlan | None, truth_path: Path | None, log_s: float) -> int:
+def run_node(
+    rig: Rig, port: Port, leak: LeakPlan | None, truth_path: Path | None, log_s: float, scenario: Sequence[Fault] = ()
+) -> int:
     """Run until SIGTERM or SIGINT, then save the truth log (.npy). Returns the number of steps.
 
     Args:
@@ -52,12 +57,14 @@ def run_node(rig: Rig, port: Port, leak: LeakPlan | None, truth_path: Path | Non
         leak: what to inject.
         truth_path: where the truth goes, or None.
         log_s: how much of it is kept, s.
+        scenario: faults of this process; those of other places are left out.
     """
     stop = Stop()
     plant_section(rig)
     warm_up(rig)
     log = TruthLog(max(1, int((log_s + LOG_MARGIN_S) * rig.loop.rate_hz)) if truth_path else 1)
     node = ActuatorNode(rig, leak, log)
+    faults = NodeFaults(node, rig, scenario)
     frames = np.zeros(MAX_FRAMES, dtype=FRAME)
     pacer = Pacer(rig.loop.period_ns, NODE_PHASE)
     make_realtime(rig.loop.priority)
@@ -68,8 +75,15 @@ def run_node(rig: Rig, port: Port, leak: LeakPlan | None, truth_path: Path | Non
         t_ns = pacer.deadline_ns
         pacer.wait()
         n = port.drain(frames)
-        for can_id, data in node.step(frames, n, t_ns, periods):
-            port.send(can_id, data)
+        since_ns = t_ns - node.active_since_ns
+        faults.begin(since_ns // node.period_ns + 1 if node.active_since_ns >= 0 else -1)
+        sent = node.step(frames, n, t_ns, periods)
+        if scenario:
+            for wire in faults.frames(sent):
+                port.send(wire.can_id, wire.data[: wire.length])
+        else:
+            for can_id, data in sent:
+                port.send(can_id, data)
         periods = 1 + min(pacer.advance(time.monotonic_ns()), LONGEST_CATCH_UP)
         steps += 1
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

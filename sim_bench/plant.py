@@ -6,7 +6,7 @@ the stroke, no pressure falls below vacuum, the spool does not travel beyond +-1
 """
 
 from dataclasses import asdict
-from math import isfinite, sqrt
+from math import inf, isfinite, sqrt
 from typing import Final
 
 import numpy as np
@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from servohil.estimators.models.cylinder import (
+    BULK,
     K_EA,
     K_EB,
     K_I,
@@ -148,6 +149,7 @@ class CylinderPlant:
         self.supply_pa = supply_pa
         self.tank_pa = tank_pa
         self._substeps = substeps
+        self._furthest_m = inf
         self._p = parameters.vector()
         self._x = np.concatenate([start / _SCALE, np.zeros(spool_order)])
         self._std = std / _SCALE
@@ -201,6 +203,33 @@ class CylinderPlant:
         self._u[:] = min(max(valve_v, -SPOOL_LIMIT_V), SPOOL_LIMIT_V), self.supply_pa, self.tank_pa
         noise = self._std * normals * sqrt(dt / NOISE_PERIOD_S)
         plant_step(self._x, self._u, self._p, noise, dt, self._substeps, self._work)
+        if self._x[0] > self._furthest_m:
+            self._x[0], self._x[1] = self._furthest_m, min(self._x[1], 0.0)
+
+    @property
+    def bulk_modulus_pa(self) -> float:
+        """Of the oil as it is now, Pa."""
+        return float(self._p[BULK])
+
+    def set_bulk_modulus(self, bulk_modulus_pa: float) -> None:
+        """Set the bulk modulus of the oil from now on, Pa.
+
+        Raises:
+            ValueError: not finite and > 0.
+        """
+        if not (isfinite(bulk_modulus_pa) and bulk_modulus_pa > 0.0):
+            raise ValueError(f"bulk modulus = {bulk_modulus_pa!r} Pa: must be finite and > 0")
+        self._p[BULK] = bulk_modulus_pa
+
+    def set_obstacle(self, position_m: float | None) -> None:
+        """Put something in the way from now on: the piston stops dead there, m; None takes it away.
+
+        Raises:
+            ValueError: not finite.
+        """
+        if position_m is not None and not isfinite(position_m):
+            raise ValueError(f"obstacle at {position_m!r} m: must be finite")
+        self._furthest_m = inf if position_m is None else position_m
 
     def set_load(self, force_n: float) -> None:
         """Set the load force from now on, N; > 0 opposes extension.

@@ -1,0 +1,97 @@
+"""Kill -9 of the controller, again and again, as real processes: when the node centres the spool, from its own log."""
+
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servohil.hil.config import Rig
+from servohil.sim_bench.bench import TRUTH_FILE, BenchError
+from servohil.sim_bench.bench_processes import Child, watch_ring
+
+DRIVEN_CYCLES: Final = 2000  # of the controller before it is killed: enabled, and on its way
+PATIENCE_S: Final = 120.0
+AFTERWARDS_S: Final = 0.3
+LOG_S: Final = 3600.0
+
+
+class Kill(NamedTuple):
+    """One kill: the node's own cycles from the last valid command to the last period with the spool off its centre, and
+    the time from the kill to the first period with the spool centred, s."""
+
+    cycles: int
+    wall_s: float
+
+
+def kill_controller(rig: Rig, runs: int, folder: Path) -> list[Kill]:
+    """Start the controller of `rig` on one node `runs` times, and kill it while the cylinder moves.
+
+    Kills at a moment in which the valve was not driven, as a machine that stalls has them, are left out.
+
+    Raises:
+        BenchError: a process ended by itself, or the spool was not centred at all.
+    """
+    truth_path = folder / TRUTH_FILE
+    node = Child("rig", ["rig", str(rig.path), "--truth", str(truth_path), "--log", str(LOG_S)])
+    killed_ns = []
+    try:
+        for run in range(runs):
+            own = folder / f"run{run}"
+            own.mkdir()
+            controller = Child("run", ["run", str(rig.path), "--folder", str(own), "--enable"])
+            try:
+                _wait_driven(controller, node, own)
+                time.sleep(run % 10 * 1e-4)  # anywhere in a period
+                killed_ns.append(time.monotonic_ns())
+                os.kill(controller.pid, signal.SIGKILL)
+            finally:
+                controller.stop()
+            time.sleep(AFTERWARDS_S)
+    finally:
+        node.stop()
+    truth = np.load(truth_path, allow_pickle=False)
+    found = [centred(truth, at_ns, rig.loop.period_ns) for at_ns in killed_ns]
+    return [kill for kill in found if kill is not None]
+
+
+def _wait_driven(controller: Child, node: Child, folder: Path) -> None:
+    """Until the controller has run DRIVEN_CYCLES."""
+    deadline = time.monotonic() + PATIENCE_S
+    lines: list[str] = []
+
+    def both_run() -> bool:
+        controller.relay(lines.append)
+        node.relay(lines.append)
+        return controller.running() and node.running() and time.monotonic() < deadline
+
+    watch = watch_ring(folder, both_run)
+    if watch is None:
+        raise BenchError(f"no controller to kill: {' / '.join(lines[-3:])}")
+    try:
+        while watch.cycle < DRIVEN_CYCLES:
+            if not both_run():
+                raise BenchError(f"ended after {watch.cycle} cycles, before it was killed: {' / '.join(lines[-3:])}")
+            time.sleep(0.01)
+    finally:
+        watch.close()
+
+
+def centred(truth: NDArray[np.void], killed_ns: int, period_ns: int) -> Kill | None:
+    """What the node's log says of one kill; None where the valve was not driven when it came.
+
+    Raises:
+        BenchError: the spool never came to its centre.
+    """
+    after = truth[int(np.searchsorted(truth["t_mono_ns"], killed_ns)) :]
+    centre = np.flatnonzero(after["spool_v"] == 0.0)
+    if not centre.size:
+        raise BenchError("the spool never came to its centre")
+    if not centre[0]:
+        return None
+    first, last_off = after[centre[0]], after[centre[0] - 1]
+    cycles = (int(last_off["t_mono_ns"]) - int(first["command_ns"])) // period_ns
+    return Kill(cycles, (int(first["t_mono_ns"]) - killed_ns) * 1e-9)
