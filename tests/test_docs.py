@@ -22,7 +22,7 @@ LINK = re.compile(r"\]\(([^)#\s]+)\)")
 TRIES = 3  # of a real-time command: a machine that stalls for 0.1 s makes an honest bench end in a fault
 STALLED = (2, 4)  # its exit codes then: a fault, a verdict that does not hold
 # Pages whose commands take as long as they take; those of all others keep time, and run alone.
-CALM = ("control.md", "estimators.md", "leakage.md", "leakage_results.md", "recording.md", "reproduce.md")
+CALM = ("control.md", "estimators.md", "faults.md", "leakage.md", "leakage_results.md", "recording.md", "reproduce.md")
 MAKE = {"make bench": ".venv/bin/hil bench", "make test": ".venv/bin/pytest"}
 
 
