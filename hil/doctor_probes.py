@@ -24,6 +24,7 @@ from typing import Final
 from packaging.requirements import Requirement
 
 from servohil.hil.doctor_can import CanLink, can_link
+from servohil.hil.realtime_setup import governors
 
 DISTRIBUTION: Final = "servohil"
 IFF_UP: Final = 0x1
@@ -167,14 +168,6 @@ def permissions(priority: int) -> tuple[str | None, str | None]:
         why = f"the probe process failed: {type(error).__name__}"
         return why, why
     return found["fifo"], found["mlockall"]
-
-
-def governors(cpu: Path = Path("/sys/devices/system/cpu")) -> tuple[str, ...]:
-    """The distinct frequency governors in use."""
-    found = set()
-    for path in cpu.glob("cpu[0-9]*/cpufreq/scaling_governor"):
-        found.add(path.read_text().strip())
-    return tuple(sorted(found))
 
 
 def numba_cache(folder: Path) -> tuple[str | None, int]:

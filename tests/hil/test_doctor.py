@@ -17,7 +17,6 @@ from servohil.hil.doctor_probes import (
     can_socket_error,
     channel_state,
     free_bytes,
-    governors,
     isolated,
     local_bus_error,
     multicast_error,
@@ -173,14 +172,6 @@ def test_isolated_processors(tmp_path: Path) -> None:
     assert isolated(tmp_path / "isolated") == "2-3"
     (tmp_path / "isolated").write_text("\n")
     assert isolated(tmp_path / "isolated") == isolated(tmp_path / "absent") == ""
-
-
-def test_governors(tmp_path: Path) -> None:
-    assert governors(tmp_path) == ()
-    for cpu, governor in (("cpu0", "powersave"), ("cpu1", "powersave"), ("cpu10", "performance")):
-        (tmp_path / cpu / "cpufreq").mkdir(parents=True)
-        (tmp_path / cpu / "cpufreq" / "scaling_governor").write_text(f"{governor}\n")
-    assert governors(tmp_path) == ("performance", "powersave")
 
 
 def test_port_in_use_is_seen_and_a_probe_leaves_it_free() -> None:
