@@ -21,8 +21,6 @@ LINK = re.compile(r"\]\(([^)#\s]+)\)")
 # `make test` runs this very test, and `make bench` is the bench of the next test for longer.
 TRIES = 3  # of a real-time command: a machine that stalls for 0.1 s makes an honest bench end in a fault
 STALLED = (2, 4)  # its exit codes then: a fault, a verdict that does not hold
-# Pages whose commands take as long as they take; those of all others keep time, and run alone.
-CALM = ("control.md", "estimators.md", "faults.md", "leakage.md", "leakage_results.md", "recording.md", "reproduce.md")
 MAKE = {"make bench": ".venv/bin/hil bench", "make test": ".venv/bin/pytest"}
 
 
@@ -36,14 +34,8 @@ def files(page: Path) -> dict[str, str]:
     return {match.group(1): text for match, text in found if match}
 
 
-@pytest.mark.parametrize(
-    "page",
-    [
-        pytest.param(page, id=str(page.relative_to(ROOT)), marks=() if page.name in CALM else pytest.mark.processes)
-        for page in PAGES
-        if blocks(page)
-    ],
-)
+@pytest.mark.processes
+@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p)], ids=lambda p: str(p.relative_to(ROOT)))
 def test_every_command_runs(page: Path, tmp_path: Path) -> None:
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     for name, text in files(page).items():

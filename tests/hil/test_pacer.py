@@ -60,10 +60,10 @@ def test_the_end_of_the_wait_is_spent_awake(monkeypatch: pytest.MonkeyPatch) -> 
     sleep = time.sleep
     monkeypatch.setattr(time, "sleep", lambda seconds: (asked.append(seconds), sleep(seconds))[1])
     pacer = Pacer(5 * PERIOD, 0.0, spin_ns=2 * PERIOD)
-    pacer.start(margin_ns=PERIOD)
+    pacer.start(margin_ns=50 * PERIOD)
     before = time.monotonic_ns()
     assert pacer.wait() >= pacer.deadline_ns
-    assert sum(asked) <= (pacer.deadline_ns - 2 * PERIOD - before) / 1e9 + 1e-3 * len(asked)
+    assert asked and asked[0] <= (pacer.deadline_ns - 2 * PERIOD - before) / 1e9
     asked.clear()
     assert sleep_until(time.monotonic_ns() + PERIOD, 2 * PERIOD) and asked == []
 

@@ -120,7 +120,7 @@ def test_an_impossible_leak_is_refused_by_name(at_s: float, coefficient: float, 
 def test_a_full_truth_log_keeps_the_newest_rows() -> None:
     log = TruthLog(3)
     for t in range(5):
-        log.append((t, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0))
+        log.append((t, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, -1))
     assert log.rows()["t_mono_ns"].tolist() == [2, 3, 4]
 
 
