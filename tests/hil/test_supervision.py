@@ -67,6 +67,10 @@ def test_a_prediction_far_off_is_unhealthy_once_the_loop_is_steady(supervision: 
     for k in range(STEADY_PERIODS - 1):
         assert supervision.events(0.3 + 1e-6 * (k % 2), 0.02, 0, 1) == 0
     assert supervision.events(0.300003, 0.02, 0, 1) == Event.ESTIMATOR_UNHEALTHY
+    assert supervision.events(nan, nan, 0, 1) == 0  # the sensor was silent: nor is it here
+    for k in range(STEADY_PERIODS - 1):
+        assert supervision.events(0.3 + 1e-6 * (k % 2), 0.02, 0, 1) == 0
+    assert supervision.events(0.300003, 0.02, 0, 1) == Event.ESTIMATOR_UNHEALTHY
 
 
 def test_a_bus_that_takes_no_command_for_longer_than_a_sensor_may_be_silent(supervision: Supervision) -> None:
@@ -81,3 +85,11 @@ def test_a_bus_that_takes_no_command_for_longer_than_a_sensor_may_be_silent(supe
         failed += 2
         assert supervision.events(nan, nan, failed, 1) == 0
     assert supervision.events(nan, nan, failed + 1, 1) == Event.BUS_OFF
+
+
+def test_a_cycle_that_wakes_late_sees_its_gap_by_the_clock(supervision: Supervision) -> None:
+    assert supervision.elapsed(5_000_000, 0) == 1
+    assert supervision.elapsed(6_100_000, 0) == 1
+    assert supervision.elapsed(36_000_000, 0) == 30
+    assert supervision.elapsed(36_900_000, 29) == 30
+    assert supervision.elapsed(38_000_000, 0) == 1
