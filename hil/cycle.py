@@ -229,7 +229,7 @@ class Cycle:
         if words[STARTED]:
             found |= events.sensor_events(sensed, self._bounds, inputs.skipped * self.period_ns)
             found |= events.estimate_events(float(view.x[1]), self._bounds, bool(status & DIVERGED))
-            tx, periods = inputs.tx_failed, self._supervision.elapsed(inputs.t_ns, inputs.skipped)
+            tx, periods = inputs.tx_failed, 1 + inputs.skipped
             found |= self._supervision.events(sensed.position_m, view.innovation_m, tx, periods)
         others = 0 if self.listen_only else int(self.codec.counters[self._command_index, OWN_ID])
         if others > words[OTHER_COMMANDERS]:

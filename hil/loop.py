@@ -90,17 +90,17 @@ class RealtimeLoop:
         ring.set_origin(origin_ns, time.time_ns() + origin_ns - time.monotonic_ns())
         ring.write_checkpoint(cycle.arena.save())
         check_every = max(1, 1_000_000_000 // pacer.period_ns)
-        number = executed = 0
+        number, executed = -1, 0
         exec_ns = lateness_ns = 0
-        skipped = 0
         telemetry_died = False
         snapshot = cycle.snapshot
         while not script.finished:
             now = pacer.wait()
+            number += 1 + pacer.skipped
             n = port.drain(frames)
             header["cycle"] = number
             header["t_ns"] = now - origin_ns
-            header["skipped"] = skipped
+            header["skipped"] = pacer.skipped
             header["lateness_ns"] = lateness_ns
             header["exec_ns"] = exec_ns
             health = port.health
@@ -120,8 +120,7 @@ class RealtimeLoop:
             lateness_ns = pacer.lateness_ns
             end = time.monotonic_ns()
             exec_ns = end - now
-            skipped = pacer.advance(end)
-            number += 1 + skipped
+            pacer.advance(end)
             executed += 1
         return LoopResult.of(cycle, executed, ring.dropped, telemetry_died)
 

@@ -1,4 +1,5 @@
-"""Absolute deadlines on a fixed grid of the monotonic clock; an overrun skips whole periods and keeps the phase.
+"""Absolute deadlines on a fixed grid of the monotonic clock; an overrun or a late wake-up skips whole periods and keeps
+the phase.
 
 Deadlines lie at (k + phase) * period since the clock's own zero, so that two loops of the same period on one machine
 keep the distance of their phases whatever the order in which they were started.
@@ -52,7 +53,7 @@ class Pacer:
         self.phase_ns = int(phase * period_ns)
         self.spin_ns = spin_ns
         self.deadline_ns = 0
-        self.skipped = 0  # whole periods missed before the deadline now waited for
+        self.skipped = 0  # whole periods missed before the deadline that was waited for last
         self.lateness_ns = 0  # of the last wake-up
 
     def start(self, margin_ns: int = 0) -> int:
@@ -63,12 +64,18 @@ class Pacer:
         return self.deadline_ns
 
     def wait(self) -> int:
-        """Sleep to the deadline; returns the time of waking, ns."""
+        """Sleep to the deadline; returns the time of waking, ns.
+
+        Who wakes later than a whole period has skipped it: what it reads from the bus now is of now, and a prediction
+        over one period would take the motion of the others for speed.
+        """
         now = sleep_until(self.deadline_ns, self.spin_ns)
         self.lateness_ns = now - self.deadline_ns
+        missed = self.lateness_ns // self.period_ns
+        self.deadline_ns += missed * self.period_ns
+        self.skipped += missed
         return now
 
-    def advance(self, now_ns: int) -> int:
-        """Close the cycle at `now_ns`: set the next deadline; returns how many periods were skipped."""
+    def advance(self, now_ns: int) -> None:
+        """Close the cycle at `now_ns`: set the next deadline, and count what was missed of the grid until then."""
         self.deadline_ns, self.skipped = skip_missed(self.deadline_ns, self.period_ns, now_ns)
-        return self.skipped

@@ -10,7 +10,7 @@ from servohil.hil.config import Rig
 from servohil.hil.gate import Event
 
 # Places in the float64 memory.
-LAST_M, PERIODS_SINCE, SAME, STEADY, TX_FAILED, TX_IN_A_ROW, LAST_NS, SIZE = range(8)
+LAST_M, PERIODS_SINCE, SAME, STEADY, TX_FAILED, TX_IN_A_ROW, SIZE = range(7)
 
 SLEW_MARGIN: Final = 2.0  # times limits.speed_max_mps
 NOISE_MARGIN: Final = 30.0  # times the standard deviation that the filter is told: a sensor ten times as noisy passes
@@ -36,8 +36,7 @@ class Supervision:
 
     def __init__(self, rig: Rig, memory: Any) -> None:
         self._memory = memory
-        memory[[LAST_M, LAST_NS]] = nan
-        self._period_ns = rig.loop.period_ns
+        memory[LAST_M] = nan
         period_s = rig.loop.period_ns * 1e-9
         self._slew_m = SLEW_MARGIN * rig.limits.speed_max_mps * period_s
         self._noise_m = NOISE_MARGIN * rig.estimator.measurement_std.position_m
@@ -45,13 +44,6 @@ class Supervision:
         self._tx_tolerated = rig.limits.sensor_age_periods
         self._stall = max(0, rig.limits.sensor_age_periods - STRICT_AGE)  # a desk machine delivers late, all at once
         self._steady = max(STEADY_PERIODS, rig.limits.sensor_age_periods)  # longer where stalls are tolerated
-
-    def elapsed(self, t_ns: int, skipped: int) -> int:
-        """Periods since the previous call: a cycle that wakes late sees its gap before the loop has skipped it."""
-        last_ns = self._memory[LAST_NS]
-        self._memory[LAST_NS] = t_ns
-        by_clock = round((t_ns - last_ns) / self._period_ns) if isfinite(last_ns) else 1
-        return max(1 + skipped, by_clock)
 
     def events(self, position_m: float, innovation_m: float, tx_failed: int, periods: int) -> int:
         """Event bits of this cycle.
@@ -63,7 +55,7 @@ class Supervision:
             periods: since the previous call.
         """
         memory = self._memory
-        last, since, same, steady, failed, in_a_row, _ = memory.tolist()
+        last, since, same, steady, failed, in_a_row = memory.tolist()
         in_a_row = in_a_row + 1 if tx_failed > failed else 0
         found = BUS_OFF if in_a_row > self._tx_tolerated else 0
         since += periods
@@ -79,5 +71,5 @@ class Supervision:
             if steady >= self._steady and abs(innovation_m) > self._unhealthy_m:
                 found |= ESTIMATOR_UNHEALTHY
             last, since = position_m, 0
-        memory[:LAST_NS] = last, since, same, steady, tx_failed, in_a_row
+        memory[:] = last, since, same, steady, tx_failed, in_a_row
         return found

@@ -69,11 +69,11 @@ def run_node(
     pacer = Pacer(rig.loop.period_ns, NODE_PHASE)
     make_realtime(rig.loop.priority)
     pacer.start()
-    steps, periods = 0, 1
+    steps = 0
     while not stop.asked:
-        # The plant lives on the grid of deadlines: time that was made up for lies in order between the others.
-        t_ns = pacer.deadline_ns
         pacer.wait()
+        # The plant lives on the grid of deadlines: time that was made up for lies in order between the others.
+        t_ns, periods = pacer.deadline_ns, 1 + min(pacer.skipped, LONGEST_CATCH_UP)
         n = port.drain(frames)
         since_ns = t_ns - node.active_since_ns
         faults.begin(since_ns // node.period_ns + 1 if node.active_since_ns >= 0 else -1)
@@ -84,7 +84,7 @@ def run_node(
         else:
             for can_id, data in sent:
                 port.send(can_id, data)
-        periods = 1 + min(pacer.advance(time.monotonic_ns()), LONGEST_CATCH_UP)
+        pacer.advance(time.monotonic_ns())
         steps += 1
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     if truth_path is not None:

@@ -11,32 +11,41 @@ ROOT = Path(__file__).parents[1]
 HIL = [sys.executable, "-m", "servohil.hil.cli"]
 
 
-# For real processes on a machine that may stall for a second: slow motion, limits that a stall alone does not break.
+# For real processes on a machine that may stall each of them for half a second, in which the cylinder goes on moving:
+# small and slow motion, and limits that a stall alone does not break.
 PATIENT = {
     "amplitude_m = 0.15": "amplitude_m = 0.05",
     "omega_rad_per_s = 2.0": "omega_rad_per_s = 1.0",
-    "sensor_age_periods = 250": "sensor_age_periods = 2000",
+    "speed_max_mps = 1.0": "speed_max_mps = 50.0",
+    'pressure_min_pa = "-2 bar"': 'pressure_min_pa = "-100 bar"',
+    'pressure_max_pa = "210 bar"': 'pressure_max_pa = "2000 bar"',
     "overruns_hold = 30": "overruns_hold = 1000",
     "overruns_fault = 100": "overruns_fault = 2000",
 }
 
 
-def write_rig(folder: Path, edits: dict[str, str] | None = None, dbc: str | None = None) -> Path:
+def write_rig(folder: Path, edits: dict[str, str] | None = None, dbc: str | None = None, rig: str = "bench") -> Path:
     """`rigs/bench.toml` with a channel of its own, any free Zenoh port, and text replaced as in `edits`."""
-    text = (ROOT / "rigs" / "bench.toml").read_text()
+    text = (ROOT / "rigs" / f"{rig}.toml").read_text()
     own = {
         'channel = "vcan0"': f'channel = "t{os.getpid()}-{folder.name[-12:]}"',
-        'interface = "auto"': 'interface = "servohil"',
-        "tcp/127.0.0.1:7447": "tcp/127.0.0.1:0",
         'directory = "runs"': f'directory = "{folder}/runs"',
     }
+    if rig == "bench":
+        own |= {'interface = "auto"': 'interface = "servohil"', "tcp/127.0.0.1:7447": "tcp/127.0.0.1:0"}
     for old, new in {**own, **(edits or {})}.items():
-        assert text.count(old) == 1, f"{old!r} stands {text.count(old)} times in bench.toml"
+        assert text.count(old) == 1, f"{old!r} stands {text.count(old)} times in {rig}.toml"
         text = text.replace(old, new)
     (folder / "bench.dbc").write_text(dbc if dbc is not None else (ROOT / "rigs" / "bench.dbc").read_text())
     path = folder / "rig.toml"
     path.write_text(text)
     return path
+
+
+def write_slow_rig(folder: Path) -> Path:
+    """The bench at 50 Hz, `rigs/vcan-vm.toml`, on the embedded bus, PATIENT: for what processes do to each other."""
+    embedded = {'interface = "socketcan"': 'interface = "servohil"', 'name = "vcan-vm"': 'name = "bench"'}
+    return write_rig(folder, {**embedded, **PATIENT}, rig="vcan-vm")
 
 
 def hil(*arguments: object, timeout_s: float = 240.0) -> subprocess.CompletedProcess[str]:

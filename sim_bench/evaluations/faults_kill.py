@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servohil.hil.config import Rig
+from servohil.sim_bench.actuator_node import plant_section
 from servohil.sim_bench.bench import TRUTH_FILE, BenchError
 from servohil.sim_bench.bench_processes import Child, watch_ring
 
-DRIVEN_CYCLES: Final = 2000  # of the controller before it is killed: enabled, and on its way
+DRIVEN_S: Final = 4.0  # of the controller before it is killed: enabled, and on its way
 PATIENCE_S: Final = 120.0
-AFTERWARDS_S: Final = 0.3
+AFTERWARDS_TIMEOUTS: Final = 5  # of the node, before the next controller starts
 LOG_S: Final = 3600.0
 
 
@@ -36,6 +37,7 @@ def kill_controller(rig: Rig, runs: int, folder: Path) -> list[Kill]:
         BenchError: a process ended by itself, or the spool was not centred at all.
     """
     truth_path = folder / TRUTH_FILE
+    afterwards_s = AFTERWARDS_TIMEOUTS * plant_section(rig).command_timeout_s
     node = Child("rig", ["rig", str(rig.path), "--truth", str(truth_path), "--log", str(LOG_S)])
     killed_ns = []
     try:
@@ -44,13 +46,13 @@ def kill_controller(rig: Rig, runs: int, folder: Path) -> list[Kill]:
             own.mkdir()
             controller = Child("run", ["run", str(rig.path), "--folder", str(own), "--enable"])
             try:
-                _wait_driven(controller, node, own)
+                _wait_driven(controller, node, own, round(DRIVEN_S * rig.loop.rate_hz))
                 time.sleep(run % 10 * 1e-4)  # anywhere in a period
                 killed_ns.append(time.monotonic_ns())
                 os.kill(controller.pid, signal.SIGKILL)
             finally:
                 controller.stop()
-            time.sleep(AFTERWARDS_S)
+            time.sleep(afterwards_s)
     finally:
         node.stop()
     truth = np.load(truth_path, allow_pickle=False)
@@ -58,8 +60,8 @@ def kill_controller(rig: Rig, runs: int, folder: Path) -> list[Kill]:
     return [kill for kill in found if kill is not None]
 
 
-def _wait_driven(controller: Child, node: Child, folder: Path) -> None:
-    """Until the controller has run DRIVEN_CYCLES."""
+def _wait_driven(controller: Child, node: Child, folder: Path, cycles: int) -> None:
+    """Until the controller has run so many cycles."""
     deadline = time.monotonic() + PATIENCE_S
     lines: list[str] = []
 
@@ -72,7 +74,7 @@ def _wait_driven(controller: Child, node: Child, folder: Path) -> None:
     if watch is None:
         raise BenchError(f"no controller to kill: {' / '.join(lines[-3:])}")
     try:
-        while watch.cycle < DRIVEN_CYCLES:
+        while watch.cycle < cycles:
             if not both_run():
                 raise BenchError(f"ended after {watch.cycle} cycles, before it was killed: {' / '.join(lines[-3:])}")
             time.sleep(0.01)

@@ -71,13 +71,13 @@ def run_plant_node(rig: PlantRig, truth_path: Path | None, log_s: float, say: Ca
             say(f"bus: {port.reason}")
             pacer = Pacer(rig.period_ns, NODE_PHASE)
             pacer.start()
-            steps, periods = 0, 1
+            steps = 0
             while not stop.asked:
-                t_ns = pacer.deadline_ns
                 pacer.wait()
+                t_ns, periods = pacer.deadline_ns, 1 + min(pacer.skipped, LONGEST_CATCH_UP)
                 for can_id, data in node.step(frames, port.drain(frames), t_ns, periods):
                     port.send(can_id, data)
-                periods = 1 + min(pacer.advance(time.monotonic_ns()), LONGEST_CATCH_UP)
+                pacer.advance(time.monotonic_ns())
                 steps += 1
     finally:
         port.close()
@@ -131,11 +131,11 @@ def _wait_for(node: Child, port: Port, controller: PlantController, say: Callabl
 def _drive(node: Child, port: Port, controller: PlantController, rig: PlantRig, duration_s: float) -> None:
     frames = np.zeros(MAX_FRAMES, dtype=FRAME)
     pacer = Pacer(rig.period_ns, CONTROLLER_PHASE)
-    start, skipped = pacer.start(), 0
+    start = pacer.start()
     while pacer.deadline_ns < start + duration_s * NS_PER_S:
-        t_ns = pacer.deadline_ns
         pacer.wait()
+        t_ns, skipped = pacer.deadline_ns, pacer.skipped
         port.send(controller.command_id, controller.step(frames, port.drain(frames), t_ns, start, skipped))
-        skipped = pacer.advance(time.monotonic_ns())
+        pacer.advance(time.monotonic_ns())
         if not node.running():
             raise PlantRigError(f"the node ended: {node.last_line}")

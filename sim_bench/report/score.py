@@ -34,6 +34,7 @@ NOT_DETERMINISTIC: Final = frozenset(
         "rate_achieved_hz",
         "exec_us",
         "lateness_us",
+        "longest_gap_s",
         "telemetry",
         "recording",
         "provenance",
@@ -135,6 +136,15 @@ def _cycles(snapshots: NDArray[np.void]) -> dict[str, int]:
     """Cycles run, and how many of them are missing in the log (the number jumps by 1 + skipped)."""
     missing = int(np.sum(np.diff(snapshots["cycle"]) - 1 - snapshots["skipped"][1:]))
     return {"cycles": len(snapshots) + missing, "cycles_missing": missing}
+
+
+def longest_gap_s(snapshots: NDArray[np.void]) -> float:
+    """Longest time without a measured position once there was one, s; the end of the log counts as one."""
+    heard = np.isfinite(snapshots["position_m"])
+    if not heard.any():
+        return 0.0
+    heard[-1] = True
+    return float(np.max(np.diff(snapshots["t_ns"][heard]), initial=0)) / NS_PER_S
 
 
 def _rate(snapshots: NDArray[np.void], cycles: int) -> float | None:
@@ -250,6 +260,7 @@ def score(
         "periods_skipped": int(np.sum(snapshots["skipped"])),
         "exec_us": _percentiles_us(snapshots["exec_ns"], facts.realtime),
         "lateness_us": _percentiles_us(snapshots["lateness_ns"], facts.realtime),
+        "longest_gap_s": longest_gap_s(snapshots),
         "tracking": tracking,
         "estimation": estimation,
         "leak": _leak(snapshots, injected_ns, zero_ns, facts),

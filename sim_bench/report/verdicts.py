@@ -9,6 +9,7 @@ from servohil.hil.claims_page import value_text
 from servohil.hil.gate import DeviceState
 
 PREFIX: Final = "bench"
+STALL_S: Final = 0.02  # without a measurement: a valve driver centres its spool then, and no run is as it should be
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,7 @@ def summary_lines(report: Mapping[str, Any]) -> list[str]:
         ("rate", f"{report['rate_hz']:g} Hz, {report['cycles']} cycles, {report['overruns']} overruns{missing}"),
         ("execution", _pair(report["exec_us"])),
         ("lateness", _pair(report["lateness_us"])),
+        ("silence", f"{_scaled(report['longest_gap_s'], 1e3, 'ms')} without a measurement, at the longest"),
         (
             "tracking",
             f"RMSE {_scaled(report['tracking']['rmse_m'], 1e3, 'mm')}{before}, "
@@ -102,7 +104,17 @@ def summary_lines(report: Mapping[str, Any]) -> list[str]:
     for verdict in report.get("verdicts", []):
         mark = "ok  " if verdict["holds"] else "FAIL"
         lines.append(f"{mark} {verdict['name']}: {value_text(verdict['value'], verdict['unit'])} ({verdict['limit']})")
-    return lines
+    return lines + stall_lines(report)
+
+
+def stall_lines(report: Mapping[str, Any]) -> list[str]:
+    """Why a run in real time may have failed without being wrong; nothing where it held."""
+    if report.get("holds", True) or not report["realtime"] or report["longest_gap_s"] < STALL_S:
+        return []
+    return [
+        f"A process was silent for {report['longest_gap_s'] * 1e3:.0f} ms. Where the machine is to blame (a shared "
+        "host, a laptop that saves power), try again, or run with --lockstep, whose clock waits."
+    ]
 
 
 def _found(leak: Mapping[str, Any]) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zenoh
-from bench_rig import PATIENT, hil, start, wait_until, write_rig
+from bench_rig import hil, start, wait_until, write_slow_rig
 
 from servohil.drivers.can_network import multicast_obstacle
 from servohil.drivers.frame import FRAME
@@ -19,7 +19,6 @@ from servohil.drivers.open_port import open_port
 from servohil.hil.assemble import command_message, load_bus_codec
 from servohil.hil.config import load_rig
 from servohil.hil.telemetry.session import client_settings, open_session
-from servohil.sim_bench.awake import AwakeProcessors
 
 pytestmark = pytest.mark.processes
 
@@ -73,14 +72,13 @@ class Controller:
 @pytest.fixture
 def rigs(tmp_path: Path) -> Iterator[tuple[Path, Path]]:
     """(rig file of the controller: no [plant], as on a rig PC; rig file of the node), the node running."""
-    node_rig = write_rig(tmp_path, PATIENT)
+    node_rig = write_slow_rig(tmp_path)
     controller_rig = tmp_path / "controller.toml"
     controller_rig.write_text(node_rig.read_text().split("[plant]")[0])
-    with AwakeProcessors():  # as the bench does: a shared virtual machine stalls sleeping loops otherwise
-        node = start("rig", node_rig)
-        yield controller_rig, node_rig
-        node.send_signal(signal.SIGTERM)
-        output, _ = node.communicate(timeout=60)
+    node = start("rig", node_rig)
+    yield controller_rig, node_rig
+    node.send_signal(signal.SIGTERM)
+    output, _ = node.communicate(timeout=60)
     assert node.returncode == 0, output
 
 
@@ -172,7 +170,7 @@ def test_the_bench_over_udp_multicast(tmp_path: Path) -> None:
     obstacle = multicast_obstacle(group, port)
     if obstacle is not None:
         pytest.skip(obstacle)
-    rig = write_rig(tmp_path, PATIENT)
+    rig = write_slow_rig(tmp_path)
     text = rig.read_text().replace('interface = "servohil"', 'interface = "udp_multicast"')
     channel = next(line for line in text.splitlines() if line.startswith("channel = "))
     text = text.replace(channel, f'channel = "{group}"').replace("[bus.options]", f"[bus.options]\nport = {port}")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bench_rig import PATIENT, start, wait_until, write_rig
+from bench_rig import start, wait_until, write_rig
 
 from servohil.drivers.frame import FRAME
 from servohil.hil.assemble import command_message, load_bus_codec, sensor_messages
@@ -127,7 +127,7 @@ def test_a_full_truth_log_keeps_the_newest_rows() -> None:
 def test_the_truth_of_a_real_time_node_is_in_the_order_of_time(tmp_path: Path) -> None:
     """Also through a stall: the process is stopped for 50 ms in the middle."""
     truth = tmp_path / "truth.npy"
-    node = start("rig", write_rig(tmp_path, PATIENT), "--truth", truth)
+    node = start("rig", write_rig(tmp_path), "--truth", truth)
     assert node.stdout is not None
     node.stdout.readline()  # "bus: ..."
     wait_until(lambda: os.sched_getscheduler(node.pid) != os.SCHED_OTHER or cpu_s(node.pid) > 6.0, "its loop", 90.0)

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from bench_rig import PATIENT, hil, write_rig
+from bench_rig import hil, write_rig, write_slow_rig
 
 SECOND_COMMANDER = '[[fault]]\nkind = "second_commander"\ncommand_v = 0.5\nat_s = 1.0\nfor_cycles = 3\n'
 BUS_OFF = '[[fault]]\nkind = "bus_off"\nat_s = 1.0\n'
@@ -49,7 +49,7 @@ def test_lockstep_reports_when_the_controller_reacted(tmp_path: Path, text: str)
 def test_a_second_commander_in_real_time_stops_the_controller(tmp_path: Path) -> None:
     path = tmp_path / "report.json"
     options = ("--duration", 6, "--leak", 0, "--protocol-only", "--json", path)
-    done = hil("bench", write_rig(tmp_path, PATIENT), *options, "--faults", write(tmp_path, SECOND_COMMANDER))
+    done = hil("bench", write_slow_rig(tmp_path), *options, "--faults", write(tmp_path, SECOND_COMMANDER))
     assert done.returncode == 2, done.stdout + done.stderr
     (fault,) = json.loads(path.read_text())["faults"]
     assert fault["events"] == ["SECOND_COMMANDER"] and fault["state"] == "FAULT_DISABLED"
