@@ -1,8 +1,8 @@
 """Run a command on a kernel with real SocketCAN: a small virtual machine that shares this machine's files, read-only.
 
-    .venv/bin/python tests/socketcan_vm/run.py [--keep-images] [--time-limit SECONDS] [COMMAND...]
+    .venv/bin/python tests/socketcan_vm/run.py [--keep-images] [--drivers] [--time-limit SECONDS] [COMMAND...]
 
-Without COMMAND it runs guest_tests.py. The exit code is the command's; 77 where qemu or the kernel cannot be had here,
+Without COMMAND it runs guest_tests.py, with --drivers without its bench. The exit code is the command's; 77 where qemu or the kernel cannot be had here,
 124 when the time limit ended the guest, 125 when the guest ended without a result. See README.md beside this file.
 """
 
@@ -53,9 +53,9 @@ def shared_environment(caches: Path) -> dict[str, str]:
     }
 
 
-def warm_up(caches: Path) -> None:
+def warm_up(caches: Path, options: list[str]) -> None:
     """Compile on the host what the guest will run. A failure is only told: the guest's own result counts."""
-    key = hashlib.sha256()
+    key = hashlib.sha256(repr(options).encode())
     for room in ("estimators", "control", "drivers", "hil", "sim_bench", "rigs", "tests/drivers", "tests/socketcan_vm"):
         for path in sorted((CHECKOUT / room).rglob("*.*")):
             if path.suffix in {".py", ".toml", ".dbc"}:  # numba's index looks at the time of a source as well
@@ -66,7 +66,7 @@ def warm_up(caches: Path) -> None:
     shutil.rmtree(caches, ignore_errors=True)
     caches.mkdir()
     print("compiling on the host", flush=True)
-    command = [sys.executable, str(HERE / "guest_tests.py"), "--warm-up"]
+    command = [sys.executable, str(HERE / "guest_tests.py"), "--warm-up", *options]
     outcome = subprocess.run(command, cwd=CHECKOUT, env={**os.environ, **shared_environment(caches)}, check=False)
     if outcome.returncode == 0:
         stamp.write_text(key.hexdigest())
@@ -182,12 +182,14 @@ def main() -> int:
     parser.add_argument(
         "--keep-images", action="store_true", help="use the Python images as they are, even if outdated"
     )
+    parser.add_argument("--drivers", action="store_true", help="of guest_tests.py everything but the bench")
     parser.add_argument("--time-limit", type=int, default=900, metavar="S", help="stop the guest after S seconds (900)")
     parser.add_argument("command", nargs=argparse.REMAINDER, metavar="COMMAND")
     arguments = parser.parse_args()
     if sys.prefix == sys.base_prefix:
         parser.error(f"run it with the project's environment: {CHECKOUT}/.venv/bin/python {sys.argv[0]}")
-    command = arguments.command or [sys.executable, str(HERE / "guest_tests.py")]
+    options = ["--drivers"] if arguments.drivers else []
+    command = arguments.command or [sys.executable, str(HERE / "guest_tests.py"), *options]
     start = time.monotonic()
     folder = cache_folder()
     for left in folder.glob("guest-*"):  # by a run that was killed
@@ -204,7 +206,7 @@ def main() -> int:
     initramfs = build_initramfs(kernel, release, busybox, HERE / "init", folder)
     images = build_python_images(folder, CHECKOUT / "requirements.lock", keep=arguments.keep_images)
     caches = folder / "caches"
-    warm_up(caches)
+    warm_up(caches, options)
     print(f"prepared in {time.monotonic() - start:.1f} s, booting {release}", flush=True)
     with tempfile.TemporaryDirectory(prefix="guest-", dir=folder) as job:
         mounts = [(f"vd{letter}", path) for letter, (_, path) in zip("abcdef", images, strict=False)]
