@@ -1,8 +1,8 @@
 """What the guest runs: smoke test, the contract tests of every port over real vcan0, the whole bench over real vcan0.
 
-With --drivers it leaves the bench out. With --warm-up it runs on the host, where it does as much of the same as is possible
-without SocketCAN, so that numba's cache holds what the guest needs. The emulated processor is slow: protocol, states, the leak event and the exit code are
-judged here, accuracy and overruns are not.
+With --drivers it leaves the bench out. With --warm-up it runs on the host, where it does as much of the same as is
+possible without SocketCAN, so that numba's cache holds what the guest needs. The emulated processor is slow: protocol,
+states, the leak event and the exit code are judged here, accuracy and overruns are not.
 """
 
 import json
