@@ -2,9 +2,9 @@
 
     .venv/bin/python tests/socketcan_vm/run.py [--keep-images] [--drivers] [--time-limit SECONDS] [COMMAND...]
 
-Without COMMAND it runs guest_tests.py, with --drivers without its bench. The exit code is the command's; 77 where qemu or
-the kernel cannot be had here, 124 when the time limit ended the guest, 125 when the guest ended without a result. See
-README.md beside this file.
+Without COMMAND it runs guest_tests.py, with --drivers without its bench. The exit code is the command's; 77 where qemu
+or the kernel cannot be had here, 124 when the time limit ended the guest, 125 when the guest ended without a result.
+See README.md beside this file.
 """
 
 import argparse
