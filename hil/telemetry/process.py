@@ -13,6 +13,7 @@ from servohil.hil.recording.layout import About
 from servohil.hil.recording.writer import RecordingWriter
 from servohil.hil.ring import RingReader, TelemetryCounts
 from servohil.hil.telemetry.events import DIAGNOSED, ChangeDetector
+from servohil.hil.telemetry.health import LoopHealth
 from servohil.hil.telemetry.intake import Intake
 from servohil.hil.telemetry.publisher import JSON, Publisher, to_json
 from servohil.hil.telemetry.queryables import Desk, Documents
@@ -24,6 +25,7 @@ from servohil.hil.watchdog_notify import WatchdogNotify
 EXIT_DONE: Final = 0
 EXIT_CONTROLLER_DIED: Final = 3
 SLOW_NS: Final = 100_000_000  # period of the readable snapshot and of looking after the controller
+HEALTH_NS: Final = 1_000_000_000
 STALL_NS: Final = 200_000_000
 _SUBSCRIBER_POLL_S: Final = 0.002
 
@@ -55,7 +57,8 @@ class Telemetry:
         )
         self._changes = ChangeDetector(setup.event_names)
         self._last_row: Any = None
-        self._slow_ns = 0
+        self._slow_ns = self._health_ns = 0
+        self._health = LoopHealth()
         self._told_recording_error = False
         self._beat, self._beat_ns, self._stalled = -1, 0, False
         self._watchdog = WatchdogNotify()
@@ -109,6 +112,9 @@ class Telemetry:
         self._slow_ns = now_ns
         if self._last_row is not None:
             self.publisher.snapshot(self._last_row)
+        if now_ns - self._health_ns >= HEALTH_NS:
+            self._health_ns = now_ns
+            self.publisher.health(self._health.report(self.intake.lost))
         self.intake.record("tick", now_ns)
         self._watch_beat(now_ns)
         return self.ring.writer_alive
@@ -129,6 +135,7 @@ class Telemetry:
             age = time.monotonic_ns() - monotonic - t_ns if monotonic else -1
             self.publisher.state(samples, unix + t_ns if unix else 0, age, self.intake.lost)
             self._last_row = rows[-1]
+            self._health.add(rows)
             found = self._changes.changes(rows)
             for event in found:
                 self._event(event)
@@ -166,6 +173,7 @@ class Telemetry:
     def _finish(self, reason: str, subscribed: bool) -> None:
         if self._last_row is not None:
             self.publisher.snapshot(self._last_row)
+        self.publisher.health(self._health.report(self.intake.lost))
         severity = "error" if reason == "controller died" else "info"
         content = {"reason": reason, "published": self.publisher.published, "lost": self.intake.lost}
         event = {"severity": severity, "code": "end", "text": f"telemetry ends: {reason}", **content}

@@ -54,6 +54,7 @@ class Publisher:
         )
         self._snapshot = self._readable("snapshot")
         self._diagnosis = self._readable("diagnosis")
+        self._health = self._readable("health")
         self._meta = self._readable("meta")
         self._token = session.liveliness().declare_token(f"{self.root}/alive")
 
@@ -80,6 +81,11 @@ class Publisher:
 
     def diagnosis(self, row: Any) -> None:
         self._diagnosis.put(to_json(readable_diagnosis(row)))
+
+    def health(self, report: dict[str, Any] | None) -> None:
+        """Loop statistics, where there are any."""
+        if report is not None:
+            self._health.put(to_json(report))
 
     def meta(self, payload: bytes) -> None:
         self._meta.put(payload)
