@@ -54,11 +54,12 @@ def evaluate_leakage(runs: int, healthy_hours: float, quick: bool, json_path: Pa
 @click.option("--page", type=click.Path(path_type=Path), help="Put the table into this page, between its markers.")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write provenance and claims here.")
 @click.option("--quick", is_flag=True, help="One row of each place.")
-def evaluate_faults(quick: bool, json_path: Path | None, page: Path | None) -> None:
+@click.option("--kills", type=click.IntRange(min=0), default=0, help="Kill a running controller so often as well.")
+def evaluate_faults(quick: bool, kills: int, json_path: Path | None, page: Path | None) -> None:
     """Every fault of the table on a moving cylinder: what the controller does about it, and how soon."""
     with one_clear_line():
         rig = load(DEFAULT_RIG)
         from servohil.sim_bench.evaluations.faults_command import evaluate_faults as run
 
-        holds = run(rig, quick, json_path, page)
+        holds = run(rig, quick, kills, json_path, page)
     sys.exit(0 if holds else EXIT_REFUSED)

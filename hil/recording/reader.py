@@ -48,12 +48,12 @@ def _unpackable(body: bytes) -> Chunk:
     chunk = Chunk.read(_stream(body))
     if chunk.compression not in ("", "zstd"):
         raise ValueError(f"a chunk packed with {chunk.compression[:20]!r}; allowed: zstd or none")
+    size = chunk.uncompressed_size
+    if size > RECORD_BYTES:
+        raise ValueError(f"a chunk of {size} bytes unpacked; allowed: at most {RECORD_BYTES}")
     # The frame has a size of its own, and the unpacker believes that one.
-    sizes = [chunk.uncompressed_size]
-    if chunk.compression == "zstd":
-        sizes.append(zstandard.frame_content_size(chunk.data))
-    if max(sizes) > RECORD_BYTES:
-        raise ValueError(f"a chunk of {max(sizes)} bytes unpacked; allowed: at most {RECORD_BYTES}")
+    if chunk.compression == "zstd" and (framed := zstandard.frame_content_size(chunk.data)) != size:
+        raise ValueError(f"a chunk of {size} bytes unpacked whose frame says {framed}; allowed: one size")
     return chunk
 
 

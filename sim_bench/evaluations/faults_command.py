@@ -1,23 +1,27 @@
-"""`hil evaluate faults` on a terminal: every row on all processors, claims, page."""
+"""`hil evaluate faults` on a terminal: every row on all processors, then kills of real processes; claims, page."""
 
 import multiprocessing
+import tempfile
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from servohil.hil.claims import Claim
+from servohil.hil.claims_page import claims_table
 from servohil.hil.config import Rig
 from servohil.sim_bench.benchmarks.command import run_benchmark
 from servohil.sim_bench.evaluations.faults import Found, Row, read_rows, run_row, strict_rig
 from servohil.sim_bench.evaluations.faults_claims import fault_claims, fault_table
+from servohil.sim_bench.evaluations.faults_kill import kill_claims, kill_controller
 
 
-def evaluate_faults(rig: Rig, quick: bool, json_path: Path | None, page: Path | None) -> bool:
+def evaluate_faults(rig: Rig, quick: bool, kills: int, json_path: Path | None, page: Path | None) -> bool:
     """Run the table, show, write; returns whether every row is as expected.
 
     Args:
         rig: whose plant, bus and control; limits and motion are those of the evaluation.
         quick: the first row of each place only.
+        kills: how often the controller is killed on a running bench, on the rig's own bus.
         json_path: where the claims go, or None.
         page: the page to update, or None.
     """
@@ -33,9 +37,18 @@ def evaluate_faults(rig: Rig, quick: bool, json_path: Path | None, page: Path | 
             for result in pool.map(_found, [strict] * len(rows), rows):
                 found.append(result)
                 tick(len(found))
-        return fault_claims(rows, found, strict, quick=quick)
+        claims = fault_claims(rows, found, strict, quick=quick)
+        if kills:
+            with tempfile.TemporaryDirectory() as folder:
+                done = kill_controller(rig, kills, Path(folder), lambda number: tick(len(found) + number))
+            claims += kill_claims(done, kills, rig)
+        return claims
 
-    return run_benchmark("faults", strict, measure, json_path, page, lambda _: fault_table(rows, found, strict))
+    def tables(claims: list[Claim]) -> str:
+        of_kills = [claim for claim in claims if ".kill." in claim.id]
+        return fault_table(rows, found, strict) + (f"\n{claims_table(of_kills)}" if of_kills else "")
+
+    return run_benchmark("faults", strict, measure, json_path, page, tables)
 
 
 def _found(rig: Rig, row: Row) -> Found:

@@ -3,12 +3,15 @@
 import os
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
+from statistics import median
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from servohil.hil.claims import Claim
 from servohil.hil.config import Rig
 from servohil.sim_bench.actuator_node import plant_section
 from servohil.sim_bench.bench import TRUTH_FILE, BenchError
@@ -18,6 +21,7 @@ DRIVEN_S: Final = 4.0  # of the controller before it is killed: enabled, and on 
 PATIENCE_S: Final = 120.0
 AFTERWARDS_TIMEOUTS: Final = 5  # of the node, before the next controller starts
 LOG_S: Final = 3600.0
+WALL_MS: Final = 25.0  # median
 
 
 class Kill(NamedTuple):
@@ -28,7 +32,7 @@ class Kill(NamedTuple):
     wall_s: float
 
 
-def kill_controller(rig: Rig, runs: int, folder: Path) -> list[Kill]:
+def kill_controller(rig: Rig, runs: int, folder: Path, tick: Callable[[int], None] = lambda _: None) -> list[Kill]:
     """Start the controller of `rig` on one node `runs` times, and kill it while the cylinder moves.
 
     Kills at a moment in which the valve was not driven, as a machine that stalls has them, are left out.
@@ -53,6 +57,7 @@ def kill_controller(rig: Rig, runs: int, folder: Path) -> list[Kill]:
             finally:
                 controller.stop()
             time.sleep(afterwards_s)
+            tick(run + 1)
     finally:
         node.stop()
     truth = np.load(truth_path, allow_pickle=False)
@@ -97,3 +102,18 @@ def centred(truth: NDArray[np.void], killed_ns: int, period_ns: int) -> Kill | N
     first, last_off = after[centre[0]], after[centre[0] - 1]
     cycles = (int(last_off["t_mono_ns"]) - int(first["command_ns"])) // period_ns
     return Kill(cycles, (int(first["t_mono_ns"]) - killed_ns) * 1e-9)
+
+
+def kill_claims(kills: list[Kill], runs: int, rig: Rig) -> list[Claim]:
+    """What `runs` kills have to show; the time is the machine's as well, so its median counts."""
+    how = f"hil evaluate faults --kills {runs}: real processes at {rig.loop.rate_hz:g} Hz"
+    timeout = round(plant_section(rig).command_timeout_s * rig.loop.rate_hz)
+    cycles = max((kill.cycles for kill in kills), default=None)
+    wall_ms = median(kill.wall_s for kill in kills) * 1e3 if kills else None
+    return [
+        Claim.judge("faults.kill.driven", len(kills), "1", ">= 1", f"{how}; the valve was driven at that moment"),
+        Claim.judge(
+            "faults.kill.cycles_to_centre", cycles, "1", f"<= {timeout + 1}", f"{how}; the node's own, largest"
+        ),
+        Claim.judge("faults.kill.time_to_centre", wall_ms, "ms", f"<= {WALL_MS:g}", f"{how}; median"),
+    ]

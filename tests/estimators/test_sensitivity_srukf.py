@@ -154,6 +154,7 @@ def test_sensitivities_equal_differences_of_a_filter_in_plain_numpy(transform):
     np.testing.assert_array_equal(ukf.parameters, start)
 
 
+@pytest.mark.nightly  # compiles for half a minute
 def test_sensitivities_on_the_cylinder_equal_differences_of_the_filter():
     inputs, samples, _ = healthy_motion(200)
     samples[50:60, 1] = NAN
@@ -248,6 +249,7 @@ def test_one_link_robot_whatever_the_noise():
     assert np.max(error) < 0.1 and (np.median(error, axis=0) < 0.05).all(), error
 
 
+@pytest.mark.nightly  # compiles for half a minute
 def test_what_is_not_excited_does_not_drift():
     inputs, samples, _ = arm.experiment(25_000, 10_000, 25_000, arm.TRUE, arm.TRUE, 0)
     gated, free = p4(), p4(threshold=0.0, least_excitation=0.0)

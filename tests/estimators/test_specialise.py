@@ -42,9 +42,9 @@ SCRIPT = """
 import time
 from servohil.estimators import Model
 import user_model
-start = time.perf_counter()
+start = time.process_time()
 model = Model(user_model.f, user_model.h, 1, 1, [], 1.0, integrator="euler")
-print(model.advance([1.0], [1.0])[0], sum(model._advance.stats.cache_hits.values()), time.perf_counter() - start)
+print(model.advance([1.0], [1.0])[0], sum(model._advance.stats.cache_hits.values()), time.process_time() - start)
 """
 
 
@@ -69,10 +69,11 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_second_process_loads_from_disk_and_every_edit_is_seen(folder):
-    assert run(folder)[:2] == [0.5 + 2.0, 0]
-    value, hits, seconds = run(folder)
-    assert (value, hits) == (2.5, 1)
-    assert seconds < 1.5
+    value, hits, cold_s = run(folder)
+    assert (value, hits) == (0.5 + 2.0, 0)
+    value, hits, warm_s = run(folder)
+    assert (value, hits) == (0.5 + 2.0, 1)
+    assert warm_s < 0.5 * cold_s
     # Same length and, as far as the file system tells, the same time: nothing but the content differs.
     edits = [("user_model", "-RATE", "+RATE", 3.5), ("constants", "0.5", "0.7", 3.7), ("deeper", "2.0", "9.0", 10.7)]
     for name, old, new, expected in edits:
@@ -105,7 +106,7 @@ print(filter.x[0], sum(filter._step.stats.cache_hits.values()), time.process_tim
     assert cold[0] == warm[0]
     assert (cold[1], warm[1]) == (0, 1)  # also for functions of __main__
     assert warm[2] < 0.7 * cold[2]  # CPU seconds of the process with its imports: most of it numba's own
-    assert warm[3] < 0.5  # CPU seconds from the model to the first estimate
+    assert warm[3] < 0.3 * cold[3]  # CPU seconds from the model to the first estimate
 
 
 def test_a_module_that_cannot_be_imported_works_in_every_process(tmp_path):

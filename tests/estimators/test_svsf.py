@@ -77,6 +77,7 @@ def test_equals_the_text_on_the_actuator_with_friction():
         assert (np.abs(svsf.P - plain.p) < 1e-6 * scale).all()
 
 
+@pytest.mark.nightly  # compiles for half a minute
 def test_without_memory_and_fully_measured_it_is_the_sliding_innovation_filter():
     from stonesoup.models.measurement.linear import LinearGaussian
     from stonesoup.types.array import CovarianceMatrix, StateVector

@@ -1,16 +1,15 @@
 """Kill -9 of the controller: the node centres the spool within its timeout, every time."""
 
 from pathlib import Path
-from statistics import median
 
 import numpy as np
 import pytest
-from bench_rig import write_slow_rig
+from bench_rig import ROOT, write_slow_rig
 
 from servohil.hil.config import load_rig
 from servohil.sim_bench.actuator_node import TRUTH
 from servohil.sim_bench.bench import BenchError
-from servohil.sim_bench.evaluations.faults_kill import centred, kill_controller
+from servohil.sim_bench.evaluations.faults_kill import Kill, centred, kill_claims, kill_controller
 
 PERIOD = 1_000_000
 
@@ -34,14 +33,17 @@ def test_the_log_is_read_right() -> None:
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("runs", [3, pytest.param(50, marks=pytest.mark.nightly)])
-@pytest.mark.timeout(1800)
-def test_the_spool_is_centred_one_cycle_after_the_timeout_at_the_latest(tmp_path: Path, runs: int) -> None:
+def test_the_spool_is_centred_one_cycle_after_the_timeout_at_the_latest(tmp_path: Path) -> None:
+    """Not how soon by the clock on the wall, which is the machine's too: `hil evaluate faults --kills` tells that."""
     rig = load_rig(write_slow_rig(tmp_path))
-    assert rig.plant is not None
-    timeout = round(rig.plant.command_timeout_s * rig.loop.rate_hz)
-    kills = kill_controller(rig, runs, tmp_path)
-    assert 1 <= len(kills) <= runs  # at the others a stalled machine had the spool at its centre already
-    assert runs < 50 or len(kills) >= 40
-    assert max(kill.cycles for kill in kills) <= timeout + 1
-    assert runs < 50 or median(kill.wall_s for kill in kills) <= 0.025
+    claims = kill_claims(kill_controller(rig, 3, tmp_path), 3, rig)
+    assert [claim.holds for claim in claims[:2]] == [True, True], claims
+
+
+def test_a_spool_that_stays_open_too_long_is_no_success() -> None:
+    rig = load_rig(ROOT / "rigs" / "bench.toml")
+    sound = kill_claims([Kill(21, 0.020), Kill(20, 0.024), Kill(20, 0.2)], 3, rig)
+    assert [claim.holds for claim in sound] == [True, True, True]
+    late = kill_claims([Kill(21, 0.026), Kill(22, 0.027)], 2, rig)
+    assert [claim.holds for claim in late] == [True, False, False]
+    assert [claim.holds for claim in kill_claims([], 3, rig)] == [False, False, False]
