@@ -22,7 +22,7 @@ bench: setup
 # Filters compile for minutes: on all processors. What starts real processes runs alone, because it keeps time.
 test: setup check
 	$(BIN)/pytest -n 2 --dist loadfile -m "not nightly and not processes"
-	$(BIN)/pytest -m processes
+	$(BIN)/pytest -m "processes and not nightly"
 
 # Grids and long Monte Carlo that take minutes.
 nightly: setup
