@@ -15,7 +15,7 @@ from servohil.drivers.codec import Kind
 from servohil.estimators.health import DIVERGED, GATED, NOT_FINITE_INPUT, REPAIRED
 from servohil.estimators.leakage import residual_monitor
 from servohil.estimators.leakage.levels import ALARM
-from servohil.hil import assemble, events, parameters, supervision
+from servohil.hil import assemble, events, parameters, supervision, valve_watch
 from servohil.hil.arena import Arena
 from servohil.hil.commands import Command, Result
 from servohil.hil.config import Rig
@@ -32,8 +32,8 @@ from servohil.hil.tracking import Tracking
 NS_PER_S: Final = 1_000_000_000
 LONGEST_PREDICTION: Final = 200  # periods; after a longer gap the filter starts anew from the next measurement
 HOLD, ACTIVE, INIT = int(DeviceState.HOLD), int(DeviceState.ACTIVE), int(DeviceState.INIT)
-SENSOR_STALE, SECOND_COMMANDER, LEAK_ALARM = int(Event.SENSOR_STALE), int(Event.SECOND_COMMANDER), int(Event.LEAK_ALARM)
-BUS_OFF_EVENT: Final = int(Event.BUS_OFF)
+SENSOR_STALE, SECOND_COMMANDER = int(Event.SENSOR_STALE), int(Event.SECOND_COMMANDER)
+LEAK_ALARM, BUS_OFF = int(Event.LEAK_ALARM), int(Event.BUS_OFF)
 OWN_ID: Final = int(Kind.OWN_ID)
 FILTER_TROUBLE: Final = GATED | REPAIRED | NOT_FINITE_INPUT | DIVERGED
 
@@ -76,6 +76,7 @@ class Cycle:
                 "parameters": parameters.N_PARAMETERS,
                 "command": 1,
                 "supervision": supervision.SIZE,
+                "valve": valve_watch.SIZE,
             },
             i8={"codec": codec_i8, "words": N_WORDS},
         )
@@ -89,6 +90,7 @@ class Cycle:
         self._bounds = assemble.build_bounds(rig)
         self._sensing = Sensing(rig, self.codec)
         self._supervision = supervision.Supervision(rig, self.arena.f8["supervision"])
+        self._valve = valve_watch.ValveWatch(self.period_ns, self.arena.f8["valve"])
         self._estimate_view = self._estimation.view
         self._tracking = Tracking(rig, self.arena.f8["law"], self.arena.f8["motion"])
         self.parameters = parameters.parameter_table(rig)
@@ -99,8 +101,7 @@ class Cycle:
         self.snapshot = self._record.row
         self.snapshot_bytes = self._record.bytes
         self._residuals, self._variances = np.zeros(2), np.ones(2)
-        self._command_values = np.zeros(0)
-        self.command_id = 0
+        self._command_values, self.command_id = np.zeros(0), 0
         if not listen_only:
             self._command_index = self.codec.message_index(command)
             self.command_id = self.codec.transmit_ids[0]
@@ -177,10 +178,9 @@ class Cycle:
         if skipped > LONGEST_PREDICTION:
             words[STARTED] = 0
         if not words[STARTED]:
-            if not complete:
-                return 0
-            estimation.start(y)
-            words[STARTED] = 1
+            if complete:
+                estimation.start(y)
+                words[STARTED] = 1
             return 0
         saturated = abs(u[0]) >= self._limits.command_max_v - self.rig.control.dead_band_v
         estimation.hold(saturated or words[DOUBT] != 0)
@@ -224,18 +224,19 @@ class Cycle:
         self._apply_parameters()
 
     def _events(self, inputs: InputsHeader, sensed: SensorView, status: int) -> int:
-        words, limits, view = self._words, self.rig.limits, self._estimate_view
+        words, limits, view, skipped = self._words, self.rig.limits, self._estimate_view, inputs.skipped
         found = events.loop_events(int(words[OVERRUNS_IN_A_ROW]), limits.overruns_hold, limits.overruns_fault)
         if words[STARTED]:
-            found |= events.sensor_events(sensed, self._bounds, inputs.skipped * self.period_ns)
+            found |= events.sensor_events(sensed, self._bounds, skipped * self.period_ns)
             found |= events.estimate_events(float(view.x[1]), self._bounds, bool(status & DIVERGED))
-            tx, periods = inputs.tx_failed, 1 + inputs.skipped
-            found |= self._supervision.events(sensed.position_m, view.innovation_m, tx, periods)
+            found |= self._supervision.events(sensed.position_m, view.innovation_m, inputs.tx_failed, 1 + skipped)
+        driven = words[DEVICE] in (HOLD, ACTIVE) and not self.listen_only
+        found |= self._valve.event(driven, float(self._command_v[0]), sensed.spool_v, sensed.status_word)
         others = 0 if self.listen_only else int(self.codec.counters[self._command_index, OWN_ID])
         if others > words[OTHER_COMMANDERS]:
             words[OTHER_COMMANDERS] = others
             found |= SECOND_COMMANDER
-        return found | (BUS_OFF_EVENT if inputs.bus_flags else 0)
+        return found | (BUS_OFF if inputs.bus_flags else 0)
 
     def _diagnose(self, complete: bool, skipped: int, t_ns: int) -> bool:
         """Run the residual test, and look what the diagnosis says; returns whether its leak alarm stands."""
@@ -260,9 +261,8 @@ class Cycle:
     def _enter(self, cycle: int) -> None:
         """The device state changed: every entry starts at the measured position, at rest, with a fresh law."""
         words = self._words
-        device = int(words[DEVICE])
         self._tracking.enter(self._estimate_view.x, cycle)
-        if device == ACTIVE:
+        if words[DEVICE] == ACTIVE:
             parameters.put_into_profile(self._tunables, self.parameters, self._tracking.profile)
             if words[FIRST_ACTIVE] < 0:
                 words[FIRST_ACTIVE] = cycle

@@ -18,6 +18,7 @@ class SensorView(NamedTuple):
     complete: bool  # this cycle brought position and both pressures, and supply and tank are known
     oldest_age_ns: int  # age of the oldest of the needed messages; large before the first
     worst_bad_in_a_row: int
+    status_word: float  # of the valve's driver
 
 
 class Bounds(NamedTuple):

@@ -52,6 +52,7 @@ class Event(IntFlag):
     INTERNAL_ERROR = auto()
     COMMAND_CLIPPED = auto()
     COMMAND_SLEWED = auto()
+    VALVE_FAULT = auto()
 
 
 class Reaction(IntEnum):

@@ -29,6 +29,8 @@ class Sensing:
         # The spool signal improves the estimate but is not needed for it: a rig may have a valve without feedback.
         needed = [name for name in SENSOR_SIGNALS if name != "spool"]
         self._needed = sorted({codec.message_index(message_of(paths[name])) for name in needed})
+        self._status_slot = codec.slot(rig.signals.status_word)
+        self._status_message = codec.message_index(message_of(rig.signals.status_word))
         self._dead_band_v = rig.control.dead_band_v
         self.y = np.full(3, nan)
         self.u = np.zeros(3)
@@ -50,4 +52,5 @@ class Sensing:
         complete = isfinite(position + pressure_a + pressure_b + supply + tank)
         oldest = t_ns - min(last_good_ns[index] for index in self._needed)
         worst = max(bad_in_a_row[index] for index in self._needed)
-        return SensorView(position, pressure_a, pressure_b, supply, tank, spool, complete, oldest, worst)
+        status = values[self._status_slot] if fresh[self._status_message] else nan
+        return SensorView(position, pressure_a, pressure_b, supply, tank, spool, complete, oldest, worst, status)

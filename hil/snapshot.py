@@ -119,6 +119,7 @@ class SnapshotRecord:
         estimate, deviation, rest, noise, law = (names.index(name) for name in starts)
         words = record.view(np.float64)
         self.row: Any = record[0]
+        self.row["active_t_ns"] = -1  # before the first cycle, as before the first ACTIVE one
         self.bytes: memoryview = record.view(np.uint8).data
         self.integers: NDArray[np.int64] = record.view(np.int64)[:n_integers]
         self.measured: NDArray[np.float64] = words[n_integers:estimate]

@@ -19,7 +19,7 @@ from servohil.sim_bench.bench_processes import Child, watch_ring
 
 DRIVEN_S: Final = 4.0  # of the controller before it is killed: enabled, and on its way
 PATIENCE_S: Final = 120.0
-AFTERWARDS_TIMEOUTS: Final = 5  # of the node, before the next controller starts
+AFTERWARDS_S: Final = 1.0  # at least; a machine may stall the node for longer than its timeout
 LOG_S: Final = 3600.0
 WALL_MS: Final = 25.0  # median
 
@@ -41,7 +41,7 @@ def kill_controller(rig: Rig, runs: int, folder: Path, tick: Callable[[int], Non
         BenchError: a process ended by itself, or the spool was not centred at all.
     """
     truth_path = folder / TRUTH_FILE
-    afterwards_s = AFTERWARDS_TIMEOUTS * plant_section(rig).command_timeout_s
+    afterwards_s = max(AFTERWARDS_S, 5 * plant_section(rig).command_timeout_s)
     node = Child("rig", ["rig", str(rig.path), "--truth", str(truth_path), "--log", str(LOG_S)])
     killed_ns = []
     try:

@@ -51,7 +51,7 @@ def run_with_faults(cycle: Cycle, node: ActuatorNode, scenario: Sequence[Fault],
     commands: deque[tuple[int, Wire]] = deque()
     number = executed = 0
     while not script.finished:
-        active_ns = int(snapshot["active_t_ns"]) if executed else -1
+        active_ns = int(snapshot["active_t_ns"])
         since_active = active_ns // period_ns + 1 if active_ns >= 0 else -1
         skipped = max((f.skipped for f, first, end in late if first <= since_active < end), default=0)
         number += skipped

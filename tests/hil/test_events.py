@@ -11,7 +11,7 @@ BOUNDS = Bounds(
     position_min_m=0.02, position_max_m=0.58, speed_max_mps=1.0, pressure_min_pa=-1e5, pressure_max_pa=21e6,
     supply_min_pa=10e6, sensor_age_ns=5_000_000, bad_frames=5,
 )  # fmt: skip
-GOOD = SensorView(0.3, 5e6, 4e6, 14e6, 0.9e6, 0.1, True, 0, 0)
+GOOD = SensorView(0.3, 5e6, 4e6, 14e6, 0.9e6, 0.1, True, 0, 0, 15.0)
 
 
 def test_nothing_wrong_is_no_event() -> None:

@@ -23,6 +23,7 @@ EXPECTED = {
     Event.NOT_FINITE: (STOP, True), Event.ESTOP: (STOP, True), Event.BUS_OFF: (STOP, True),
     Event.SECOND_COMMANDER: (STOP, True), Event.LEAK_WARNING: (NONE, False), Event.LEAK_ALARM: (NONE, False),
     Event.INTERNAL_ERROR: (STOP, True), Event.COMMAND_CLIPPED: (NONE, False), Event.COMMAND_SLEWED: (NONE, False),
+    Event.VALVE_FAULT: (STOP, True),
 }  # fmt: skip
 
 # Next state by present state (row) and most severe reaction (columns none, hold, fault_hold, ramp, stop), then what the

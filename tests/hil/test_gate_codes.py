@@ -23,6 +23,6 @@ def test_events_have_one_bit_each_in_this_order() -> None:
         "OVERRUNS_HOLD", "OVERRUNS_FAULT", "SETPOINT_STALE", "SENSOR_STALE", "BAD_FRAMES", "IMPLAUSIBLE",
         "POSITION_LIMIT", "SPEED_LIMIT", "PRESSURE_LIMIT", "SLEW_LIMIT", "SUPPLY_LOST", "ESTIMATOR_UNHEALTHY",
         "NOT_FINITE", "ESTOP", "BUS_OFF", "SECOND_COMMANDER", "LEAK_WARNING", "LEAK_ALARM", "INTERNAL_ERROR",
-        "COMMAND_CLIPPED", "COMMAND_SLEWED",
+        "COMMAND_CLIPPED", "COMMAND_SLEWED", "VALVE_FAULT",
     )  # fmt: skip
     assert {event.name: int(event) for event in Event} == {name: 1 << k for k, name in enumerate(names)}
