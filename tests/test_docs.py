@@ -35,6 +35,7 @@ def files(page: Path) -> dict[str, str]:
 
 
 @pytest.mark.processes
+@pytest.mark.timeout(1500)
 @pytest.mark.parametrize("page", [p for p in PAGES if blocks(p)], ids=lambda p: str(p.relative_to(ROOT)))
 def test_every_command_runs(page: Path, tmp_path: Path) -> None:
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
@@ -56,7 +57,7 @@ def test_every_command_runs(page: Path, tmp_path: Path) -> None:
                     env=environment,
                     capture_output=True,
                     text=True,
-                    timeout=200,
+                    timeout=600,
                     check=False,
                 )
                 if done.returncode not in STALLED:

@@ -13,11 +13,12 @@ from typing import Any, Self
 import zenoh
 
 from servohil.hil.telemetry.session import client_settings, open_session
+from servohil.hil.telemetry.setup import TelemetrySetup
 
 RIG = "fake"
 ROOT = f"servohil/v1/{RIG}"
 CONTROLLER = Path(__file__).with_name("fake_controller.py")
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 def until(condition: Callable[[], Any], what: str, patience_s: float = PATIENCE_S) -> Any:
@@ -105,6 +106,17 @@ class FakeRig:
             self.session.declare_subscriber(f"{ROOT}/{key}", samples.append),
         ]
         return samples
+
+
+def start_alone(folder: Path, **fields: Any) -> subprocess.Popen[str]:
+    """A telemetry process on whatever `fields` say."""
+    TelemetrySetup(**{"rig": "fake", "listen": "tcp/127.0.0.1:0", **fields}).save(folder / "alone.json")
+    return subprocess.Popen(
+        [sys.executable, "-m", "servohil.hil.telemetry", str(folder / "alone.json")],
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
 def is_running(pid: int) -> bool:
