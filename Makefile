@@ -19,10 +19,10 @@ BENCH_OPTIONS ?=
 bench: setup
 	$(BIN)/hil bench $(BENCH_OPTIONS)
 
-# Filters compile for minutes: on all processors. What starts real processes runs alone, because it keeps time.
+# Filters compile for minutes: on all processors. What starts real processes comes after them, out of a filled cache.
 test: setup check
 	$(BIN)/pytest -n 2 --dist loadfile -m "not nightly and not processes"
-	$(BIN)/pytest -m "processes and not nightly"
+	$(BIN)/pytest -n 2 --dist loadfile -m "processes and not nightly"
 
 # Grids and long Monte Carlo that take minutes.
 nightly: setup

@@ -154,7 +154,6 @@ def test_sensitivities_equal_differences_of_a_filter_in_plain_numpy(transform):
     np.testing.assert_array_equal(ukf.parameters, start)
 
 
-@pytest.mark.nightly  # compiles for half a minute
 def test_sensitivities_on_the_cylinder_equal_differences_of_the_filter():
     inputs, samples, _ = healthy_motion(200)
     samples[50:60, 1] = NAN
@@ -277,6 +276,7 @@ def test_what_is_not_excited_does_not_drift():
     assert (drift > 0.3).any(), drift
 
 
+@pytest.mark.nightly  # compiles for half a minute
 def test_prediction_error_form_of_the_paper_finds_the_parameters():
     inputs, samples, _ = arm.experiment(15_000, 15_000, 15_000, arm.TRUE, arm.TRUE, 0)
     ukf = p4(
