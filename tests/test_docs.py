@@ -83,6 +83,7 @@ def test_every_python_example_runs(page: Path, tmp_path: Path) -> None:
     assert "nan" not in done.stdout and "inf" not in done.stdout
 
 
+@pytest.mark.processes  # with a filled cache
 def test_make_bench_is_the_bench(tmp_path: Path) -> None:
     options = f"BENCH_OPTIONS=--lockstep --duration 4 --leak 0 --json {tmp_path}/report.json"
     done = subprocess.run(
