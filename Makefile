@@ -28,7 +28,7 @@ test: setup check
 nightly: setup
 	$(BIN)/pytest -m nightly --timeout 3000
 
-# Every small mistake in the safety gate and the end-to-end protection must be found by their tests; half an hour.
+# Every small mistake in the safety gate and the end-to-end protection must be found by their tests; ten minutes.
 mutants: setup
 	$(BIN)/python tests/mutation/run.py
 
