@@ -226,15 +226,6 @@ def test_the_ramp_is_straight_and_ends_on_time(event: Event, final: str) -> None
     assert got.enable is (final == "h")
 
 
-def test_the_last_cycle_of_a_ramp_tells_its_events_and_its_answer_as_every_other() -> None:
-    ramp = step(start("A", volts=-10.0), Event.SENSOR_STALE).state
-    last = step(ramp, Event.SUPPLY_LOST, Command.ENABLE, periods=RAMP)
-    assert last.state.device_state == DeviceState.FAULT_DISABLED
-    assert (last.result, last.events) == (Result.REFUSED_STATE, Event.SUPPLY_LOST)
-    under_way = step(ramp, Event.SUPPLY_LOST, Command.ENABLE)
-    assert (under_way.result, under_way.events) == (last.result, last.events)
-
-
 def test_the_ramp_keeps_its_time_through_skipped_periods() -> None:
     first = step(start("A", volts=10.0), Event.SENSOR_STALE, periods=2)
     assert first.permitted_v == pytest.approx(6.0)

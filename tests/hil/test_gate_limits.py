@@ -4,6 +4,7 @@ from math import inf, nan
 
 import pytest
 
+from servohil.hil.commands import Command, Result
 from servohil.hil.gate import DeviceState, Event, GateDecision, GateState, gate, gate_limits
 from servohil.hil.reactions import load_reactions
 
@@ -54,3 +55,11 @@ def test_limits_in_cycles() -> None:
             arguments = {"command_max_v": 1.0, "slew_v_per_s": 1.0, "ramp_down_s": 1.0, "period_s": 1.0, name: bad}
             with pytest.raises(ValueError, match=f"^gate limit {name} = {bad!r}: must be finite and > 0$"):
                 gate_limits(**arguments)
+
+
+@pytest.mark.parametrize("periods", [1, RAMP])
+def test_a_ramp_tells_events_and_answer_under_way_and_in_its_last_cycle(periods: int) -> None:
+    ramp = GateState(DeviceState.FAULT_REACTION, DeviceState.FAULT_DISABLED, int(Event.SENSOR_STALE), RAMP, -10.0)
+    got = gate(ramp, int(Event.SUPPLY_LOST), Command.ENABLE, 0.0, True, REACTIONS, LIMITS, periods)
+    assert (got.state.device_state == DeviceState.FAULT_DISABLED) is (periods == RAMP)
+    assert (got.result, got.events) == (Result.REFUSED_STATE, Event.SUPPLY_LOST)

@@ -153,3 +153,28 @@ def test_summary_where_nothing_was_measured() -> None:
     assert "never, 0 false alarms" in text
     assert "FAIL tracking rmse: not measured (<= 1)" in text
     assert not np.any([word in text for word in ("nan", "None")])
+
+
+def test_a_run_that_failed_in_real_time_says_how_long_nothing_was_heard() -> None:
+    rows, true = perfect(CYCLES)
+    rows["position_m"][100:130] = np.nan  # heard again in row 130: 31 periods after row 99
+    rows["state"][-1] = 6
+
+    def last_line(realtime: bool, end: int = 6) -> str:
+        rows["state"][-1] = end
+        report = score(rows, true, LOOP_START_NS, facts(realtime=realtime))
+        assert report["longest_gap_s"] == pytest.approx(0.031)
+        return summary_lines(add_verdicts(report, Limits(tracking_rmse_m=None, rate_tolerance=None)))[-1]
+
+    assert last_line(realtime=True).startswith("A process was silent for 31 ms")
+    assert last_line(realtime=False).startswith(("ok", "FAIL"))  # in lockstep no machine is to blame
+    assert last_line(realtime=True, end=1).startswith("ok")  # nor where all held
+
+
+def test_silence_lasts_to_the_end_of_the_log_and_begins_with_the_first_measurement() -> None:
+    rows, true = perfect(CYCLES)
+    rows["position_m"][:500] = np.nan
+    rows["position_m"][-40:] = np.nan
+    assert score(rows, true, LOOP_START_NS, facts())["longest_gap_s"] == pytest.approx(0.040)
+    rows["position_m"][:] = np.nan
+    assert score(rows, true, LOOP_START_NS, facts())["longest_gap_s"] == 0.0
