@@ -83,3 +83,23 @@ def benchmark_wakeup(rig: Path, quick: bool, json_path: Path | None, page: Path 
         from servohil.sim_bench.benchmarks.wakeup import wakeup_claims
 
         run_benchmark("wakeup", load(rig), lambda tick: wakeup_claims(quick, tick), json_path, page)
+
+
+@benchmark.command("soak")
+@click.option("--duration", "duration_s", type=click.FloatRange(min=10.0), help="Seconds in motion; 3600 by default.")
+@benchmark_options
+def benchmark_soak(rig: Path, duration_s: float | None, quick: bool, json_path: Path | None, page: Path | None) -> None:
+    """An hour with telemetry, a recording and a subscriber that hangs: memory, own overruns, completeness."""
+    with one_clear_line():
+        from servohil.hil.command_line import new_folder
+        from servohil.hil.config.effective import write_effective
+        from servohil.sim_bench.benchmarks.command import run_benchmark
+        from servohil.sim_bench.benchmarks.soak import DURATION_S, QUICK_S, soak_claims
+
+        folder = new_folder(load(rig).recording.directory, "soak")
+        loaded = write_effective(load(rig), folder)
+        seconds = duration_s or (QUICK_S if quick else DURATION_S)
+        holds = run_benchmark(
+            "soak", loaded, lambda tick: soak_claims(loaded, folder, seconds, tick), json_path, page, total=seconds
+        )
+    sys.exit(0 if holds else EXIT_REFUSED)

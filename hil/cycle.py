@@ -296,5 +296,5 @@ class Cycle:
             monitor.cusum_threshold,
         )  # fmt: skip
         self._estimation.noise(record.noise)
-        record.law[0] = tracking.flags
+        record.law[0], record.cpu[0] = tracking.flags, inputs.cpu_ns
         self._estimation.diagnosis.report(record.diagnosis_integers, record.diagnosis)

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from servohil.drivers.frame import FRAME
 
-# (name, type, meaning). In lockstep `t_ns` is the cycle number times the period, `lateness_ns` and `exec_ns` are 0.
+# (name, type, meaning). In lockstep `t_ns` is the cycle number times the period, and the three durations are 0.
 HEADER_FIELDS: Final[tuple[tuple[str, str, str], ...]] = (
     ("cycle", "<i8", "cycle number; jumps by 1 + skipped"),
     ("t_ns", "<i8", "monotonic time of this cycle since the loop started"),
     ("skipped", "<i8", "whole periods skipped before this cycle"),
     ("lateness_ns", "<i8", "wake-up behind the deadline, previous cycle"),
     ("exec_ns", "<i8", "execution time, previous cycle"),
+    ("cpu_ns", "<i8", "processor time that the loop's thread used in the previous cycle"),
     ("n_frames", "<i8", "FRAME records that follow the header"),
     ("tx_failed", "<i8", "commands the bus did not take since the start"),
     ("bus_flags", "<i8", "BUS_OFF | BUS_DOWN as the port reported them"),
@@ -35,6 +36,7 @@ class InputsHeader(NamedTuple):
     skipped: int
     lateness_ns: int
     exec_ns: int
+    cpu_ns: int
     n_frames: int
     tx_failed: int
     bus_flags: int
@@ -48,7 +50,8 @@ assert InputsHeader._fields == tuple(name for name, _, _ in HEADER_FIELDS)
 INPUTS_HEADER: Final = np.dtype([(name, kind) for name, kind, _ in HEADER_FIELDS])
 HEADER_BYTES: Final = INPUTS_HEADER.itemsize
 FRAME_BYTES: Final = FRAME.itemsize
-assert HEADER_BYTES == 96
+N_FRAMES: Final = InputsHeader._fields.index("n_frames")
+assert HEADER_BYTES == 104
 
 BUS_OFF: Final = 1
 BUS_DOWN: Final = 2
@@ -68,7 +71,7 @@ class Inputs(NamedTuple):
 class InputsBuffer:
     """Preallocated inputs of one cycle: the shell fills the views, the ring takes `payload` without a copy.
 
-    `header` is a scalar view of INPUTS_HEADER, `frames` (max_frames,) of FRAME. `integers` (11,) is the same header as
+    `header` is a scalar view of INPUTS_HEADER, `frames` (max_frames,) of FRAME. `integers` (12,) is the same header as
     int64 in HEADER_FIELDS order, for a loop that counts microseconds.
     """
 
@@ -76,7 +79,7 @@ class InputsBuffer:
         self._bytes = np.zeros(HEADER_BYTES + max_frames * FRAME_BYTES, np.uint8)
         head = self._bytes[:HEADER_BYTES]
         self.header: Any = head.view(INPUTS_HEADER)[0]
-        self.integers: NDArray[np.int64] = head[:88].view(np.int64)
+        self.integers: NDArray[np.int64] = head[:96].view(np.int64)
         self.frames: NDArray[np.void] = self._bytes[HEADER_BYTES:].view(FRAME)
         self._view = self._bytes.data
 
@@ -87,7 +90,7 @@ class InputsBuffer:
         """
         if not 0 <= n_frames <= len(self.frames):
             raise InputsError(f"n_frames = {n_frames}: this buffer holds 0 to {len(self.frames)} frames")
-        self.integers[5] = n_frames
+        self.integers[N_FRAMES] = n_frames
         return self._view[: HEADER_BYTES + n_frames * FRAME_BYTES]
 
 

@@ -91,11 +91,12 @@ class RealtimeLoop:
         ring.write_checkpoint(cycle.arena.save())
         check_every = max(1, 1_000_000_000 // pacer.period_ns)
         number, executed = -1, 0
-        exec_ns = lateness_ns = 0
+        exec_ns = lateness_ns = cpu_ns = 0
         telemetry_died = False
         snapshot = cycle.snapshot
         while not script.finished:
             now = pacer.wait()
+            cpu_start_ns = time.thread_time_ns()
             number += 1 + pacer.skipped
             n = port.drain(frames)
             header["cycle"] = number
@@ -103,6 +104,7 @@ class RealtimeLoop:
             header["skipped"] = pacer.skipped
             header["lateness_ns"] = lateness_ns
             header["exec_ns"] = exec_ns
+            header["cpu_ns"] = cpu_ns
             health = port.health
             header["tx_failed"] = health.send_failed
             header["bus_flags"] = (BUS_OFF if health.bus_off else 0) | (BUS_DOWN if health.down else 0)
@@ -120,6 +122,7 @@ class RealtimeLoop:
             lateness_ns = pacer.lateness_ns
             end = time.monotonic_ns()
             exec_ns = end - now
+            cpu_ns = time.thread_time_ns() - cpu_start_ns
             pacer.advance(end)
             executed += 1
         return LoopResult.of(cycle, executed, ring.dropped, telemetry_died)

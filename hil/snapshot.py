@@ -97,9 +97,10 @@ FIELDS: Final[tuple[tuple[str, str, str, str], ...]] = (
     ("leak_internal_m3ps", "<f8", "m3/s", "its flow at the pressure difference of now, averaged over 3 s"),
     ("leak_external_a_m3ps", "<f8", "m3/s", "its flow at the pressure of now, averaged over 3 s"),
     ("leak_external_b_m3ps", "<f8", "m3/s", "its flow at the pressure of now, averaged over 3 s"),
+    ("cpu_ns", "<i8", "ns", "processor time that the loop's thread used, previous cycle"),
 )
 
-SNAPSHOT_VERSION: Final = 4
+SNAPSHOT_VERSION: Final = 5
 SNAPSHOT = np.dtype([(name, kind) for name, kind, _, _ in FIELDS])
 
 
@@ -107,7 +108,7 @@ class SnapshotRecord:
     """One Snapshot in memory of its own: `row` by field name, and views of its parts for fast writing.
 
     `integers` (21,), then `measured` (6,), `estimate` (4,), `deviation` (4,), `rest`, `noise` (14,), `law` (1,),
-    `diagnosis_integers` (7,) and `diagnosis` (14,), all in the order of FIELDS.
+    `diagnosis_integers` (7,), `diagnosis` (14,) and `cpu` (1,), all in the order of FIELDS.
     """
 
     def __init__(self) -> None:
@@ -115,7 +116,7 @@ class SnapshotRecord:
         names = [name for name, _, _, _ in FIELDS]
         n_integers = names.index("position_m")
         starts = ("est_position_m", "std_position_m", "nis", "process_std_position_m", "law_flags")
-        diagnosis, sizes = names.index("diagnosis_mode"), names.index("change_statistic")
+        diagnosis, sizes, cpu = (names.index(name) for name in ("diagnosis_mode", "change_statistic", "cpu_ns"))
         estimate, deviation, rest, noise, law = (names.index(name) for name in starts)
         words = record.view(np.float64)
         self.row: Any = record[0]
@@ -129,4 +130,5 @@ class SnapshotRecord:
         self.noise: NDArray[np.float64] = words[noise:law]
         self.law: NDArray[np.int64] = record.view(np.int64)[law:diagnosis]
         self.diagnosis_integers: NDArray[np.int64] = record.view(np.int64)[diagnosis:sizes]
-        self.diagnosis: NDArray[np.float64] = words[sizes:]
+        self.diagnosis: NDArray[np.float64] = words[sizes:cpu]
+        self.cpu: NDArray[np.int64] = record.view(np.int64)[cpu:]

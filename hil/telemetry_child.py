@@ -35,6 +35,7 @@ def telemetry_setup(cycle: Cycle, ring: RingWriter, folder: Path, wait_for_subsc
         rig=rig.name,
         listen=rig.telemetry.listen,
         credentials=str(rig.credentials_path.absolute()) if rig.credentials_path else None,
+        period_ns=rig.loop.period_ns,
         batch_ns=int(rig.telemetry.batch_s * NS_PER_S),
         wait_for_subscriber_s=wait_for_subscriber_s,
         parameters=tuple(

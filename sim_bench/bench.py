@@ -178,10 +178,10 @@ def _realtime(rig: Rig, options: BenchOptions, say: Say, show: Show) -> BenchLog
     if not origin_ns:
         failed = controller if code else node
         raise BenchError(failed.last_line or f"{failed.name} ended with exit code {code or node_code}")
-    telemetry = _read_json(folder / RESULT_FILE)
+    telemetry = read_json(folder / RESULT_FILE)
     snapshots = recorded_snapshots(folder / RECORDING_FILE)
     truth = np.load(truth_path, allow_pickle=False) if truth_path.exists() else TruthLog(1).rows()
-    summary = _read_json(folder / SUMMARY_FILE)
+    summary = read_json(folder / SUMMARY_FILE)
     interface = str(summary.get("interface", rig.bus.interface))
     exit_code = 130 if interrupted else code or (1 if node_code else 0)
     return BenchLogs(snapshots, truth, origin_ns, interface, telemetry, probe.received if probe else 0, exit_code)
@@ -203,7 +203,7 @@ def _follow(controller: Child, node: Child, probe: Probe | None, say: Say, show:
         time.sleep(LOOK_S)
 
 
-def _read_json(path: Path) -> dict[str, Any]:
+def read_json(path: Path) -> dict[str, Any]:
     """The document, or nothing where a process ended before it could write it."""
     content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     return content

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
-from servohil.hil.ring_file import W_HEARTBEAT, W_MONOTONIC_ORIGIN, RingError, RingFile, open_file
+from servohil.hil.ring_file import W_HEARTBEAT, W_MONOTONIC_ORIGIN, W_READER_PID, RingError, RingFile, open_file
 from servohil.hil.snapshot import SNAPSHOT
 from servohil.hil.telemetry_child import SETUP_FILE
 
@@ -82,6 +82,11 @@ class RingWatch:
     def origin_ns(self) -> int:
         """Monotonic time of t_ns = 0; 0 until the loop has begun."""
         return int(self._file.words[W_MONOTONIC_ORIGIN])
+
+    @property
+    def reader_pid(self) -> int:
+        """Process id of telemetry."""
+        return int(self._file.words[W_READER_PID])
 
     @property
     def cycle(self) -> int:

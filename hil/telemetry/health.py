@@ -42,11 +42,16 @@ class Spread:
 
 
 class LoopHealth:
-    """Follows the Snapshots of one run."""
+    """Follows the Snapshots of one run.
 
-    def __init__(self) -> None:
-        self._lateness, self._execution = Spread(), Spread()
-        self._cycles = self._skipped = 0
+    Args:
+        period_ns: of the loop.
+    """
+
+    def __init__(self, period_ns: int) -> None:
+        self._period_ns = period_ns
+        self._lateness, self._execution, self._cpu = Spread(), Spread(), Spread()
+        self._cycles = self._skipped = self._own_overruns = 0
         self._last: Any = None
         self._told: tuple[int, int] | None = None  # (cycle, t_ns) of the last report
 
@@ -58,12 +63,16 @@ class LoopHealth:
         of_cycles = rows[1:] if first else rows  # a Snapshot has the figures of the cycle before it
         self._lateness.add(of_cycles["lateness_ns"])
         self._execution.add(of_cycles["exec_ns"])
+        self._cpu.add(of_cycles["cpu_ns"])
+        self._own_overruns += int((of_cycles["cpu_ns"] > self._period_ns).sum())
         self._last = rows[-1]
 
     def report(self, lost: int) -> dict[str, Any] | None:
         """The key `health`; None before the first cycle.
 
-        `rate_hz` is that since the last report, everything else since the start. `lost`: cycles that telemetry missed.
+        `rate_hz` is that since the last report, everything else since the start. `own_overruns`: cycles in which our
+        own thread worked for longer than a period; in all other overruns somebody else had the processor. `lost`:
+        cycles that telemetry missed.
         """
         last = self._last
         if last is None:
@@ -77,9 +86,11 @@ class LoopHealth:
             "cycles": self._cycles,
             "periods_skipped": self._skipped,
             "overruns": int(last["overruns"]),
+            "own_overruns": self._own_overruns,
             "rate_hz": (cycle - before[0]) / (t_ns - before[1]) * NS_PER_S if moved and before else None,
             "lateness_us": self._lateness.figures_us(),
             "exec_us": self._execution.figures_us(),
+            "cpu_us": self._cpu.figures_us(),
             "rx_rejected": int(last["rx_rejected"]),
             "tx_failed": int(last["tx_failed"]),
             "lost": lost,

@@ -58,7 +58,7 @@ class Telemetry:
         self._changes = ChangeDetector(setup.event_names)
         self._last_row: Any = None
         self._slow_ns = self._health_ns = 0
-        self._health = LoopHealth()
+        self._health = LoopHealth(setup.period_ns)
         self._told_recording_error = False
         self._beat, self._beat_ns, self._stalled = -1, 0, False
         self._watchdog = WatchdogNotify()

@@ -32,11 +32,11 @@ class Parameter:
 class TelemetrySetup:
     """`ring`: path of the ring; `listen`: Zenoh endpoint of the hub (port 0: any free one); `connect`: or be a client.
 
-    `credentials`: folder with certificate, key and access control, for an endpoint that other machines reach.
-    `recording`: first file, None for none; `result`: JSON file for the counters at the end; `meta`: versions, config
-    hash and the like for subscribers; `provenance`: the same and more for the recording; `event_names[i]`: name of bit
-    i of the snapshot's `fault`; `wait_for_subscriber_s`: do not say ready before somebody subscribes to `state`, or so
-    long.
+    `period_ns`: of the loop. `credentials`: folder with certificate, key and access control, for an endpoint that other
+    machines reach. `recording`: first file, None for none; `result`: JSON file for the counters at the end; `meta`:
+    versions, config hash and the like for subscribers; `provenance`: the same and more for the recording;
+    `event_names[i]`: name of bit i of the snapshot's `fault`; `wait_for_subscriber_s`: do not say ready before somebody
+    subscribes to `state`, or so long.
     """
 
     ring: str
@@ -44,6 +44,7 @@ class TelemetrySetup:
     listen: str = DEFAULT_LISTEN
     credentials: str | None = None
     connect: tuple[str, ...] = ()
+    period_ns: int = 1_000_000
     batch_ns: int = 10_000_000
     wait_for_subscriber_s: float = 0.0
     parameters: tuple[Parameter, ...] = ()

@@ -16,7 +16,7 @@ Tick = Callable[[int], None]
 
 def run_benchmark(
     name: str, rig: Rig, measure: Callable[[Tick], list[Claim]], json_path: Path | None, page: Path | None,
-    table: Callable[[list[Claim]], str] = claims_table, *, own_bar: bool = False,
+    table: Callable[[list[Claim]], str] = claims_table, *, own_bar: bool = False, total: float | None = None,
 ) -> bool:  # fmt: skip
     """Measure, show, write; returns whether every claim with a limit holds.
 
@@ -28,10 +28,11 @@ def run_benchmark(
         page: the page to update, or None.
         table: the claims as Markdown.
         own_bar: `measure` shows its progress itself.
+        total: what the number of `measure` grows to, where that is known.
     """
     facts = provenance(config_hash=rig.config_hash())
     with Progress(transient=True, disable=own_bar) as progress:
-        task = progress.add_task(name, total=None)
+        task = progress.add_task(name, total=total)
         claims = measure(lambda number: progress.update(task, completed=number))
     console = Console()
     for claim in claims:

@@ -128,7 +128,7 @@ def test_payloads_of_commands(n: int) -> None:
 @numbers(2_000, 100_000)
 def test_inputs_of_cycles(n: int) -> None:
     random = np.random.default_rng(6)
-    whole = bytes(40) + (3).to_bytes(8, "little") + bytes(48 + 72)
+    whole = bytes(48) + (3).to_bytes(8, "little") + bytes(48 + 72)
     parse(whole)
     for _ in range(n):
         with contextlib.suppress(InputsError):

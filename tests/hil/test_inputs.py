@@ -6,10 +6,18 @@ import numpy as np
 import pytest
 
 from servohil.drivers.frame import FRAME_STRUCT
-from servohil.hil.inputs import FRAME_BYTES, HEADER_BYTES, INPUTS_HEADER, InputsBuffer, InputsError, parse
+from servohil.hil.inputs import (
+    FRAME_BYTES,
+    HEADER_BYTES,
+    INPUTS_HEADER,
+    N_FRAMES,
+    InputsBuffer,
+    InputsError,
+    parse,
+)
 
 
-def test_layout_is_eleven_integers_a_float_and_the_frames() -> None:
+def test_layout_is_twelve_integers_a_float_and_the_frames() -> None:
     buffer = InputsBuffer(4)
     for i, name in enumerate(INPUTS_HEADER.names or ()):
         buffer.header[name] = i + 1
@@ -17,7 +25,7 @@ def test_layout_is_eleven_integers_a_float_and_the_frames() -> None:
     FRAME_STRUCT.pack_into(buffer.frames.view(np.uint8).data, 0, 0x101, 8, 0, 0, 77, b"abcdefgh")
     FRAME_STRUCT.pack_into(buffer.frames.view(np.uint8).data, FRAME_BYTES, 0x202, 2, 1, 0, -1, b"xy")
     payload = bytes(buffer.payload(2))
-    head = struct.pack("<11qd", 1, 2, 3, 4, 5, 2, 7, 8, 9, 10, 11, -0.125)
+    head = struct.pack("<12qd", 1, 2, 3, 4, 5, 6, 2, 8, 9, 10, 11, 12, -0.125)
     frames = FRAME_STRUCT.pack(0x101, 8, 0, 0, 77, b"abcdefgh") + FRAME_STRUCT.pack(0x202, 2, 1, 0, -1, b"xy")
     assert payload == head + frames
 
@@ -48,6 +56,6 @@ def test_frame_count_out_of_range() -> None:
     for n_frames in (-1, 3):
         with pytest.raises(InputsError, match="0 to 2"):
             buffer.payload(n_frames)
-    buffer.integers[5] = -1
+    buffer.integers[N_FRAMES] = -1
     with pytest.raises(InputsError, match="n_frames = -1"):
         parse(bytes(buffer._bytes[:HEADER_BYTES]))

@@ -1,5 +1,7 @@
 """The realtime shell around a cycle that only listens: what it is told of missed periods, and the last word."""
 
+import time
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -37,13 +39,10 @@ class ScriptedPacer:
         self.skipped = -1  # of the next deadline: of no use to anybody before the next wake-up
 
 
-def test_a_cycle_is_told_of_the_periods_missed_before_it_and_the_last_frames_are_zero(tmp_path: Path) -> None:
-    record, told, sent = SnapshotRecord(), [], []
-
-    def step(header: Any, _frames: Any) -> bytes:
-        told.append((int(header["cycle"]), int(header["t_ns"]), int(header["skipped"])))
-        return b"drive"
-
+def run_loop(step: Callable[[Any, Any], bytes], cycles: int, pacer: Any, folder: Path) -> tuple[Any, list[bytes]]:
+    """`cycles` cycles that do `step`: the loop's result, and what was sent."""
+    record = SnapshotRecord()
+    sent: list[bytes] = []
     cycle: Any = SimpleNamespace(
         snapshot=record.row, snapshot_bytes=record.bytes, arena=SimpleNamespace(save=lambda: b"state"), step=step,
         command_id=160, zero_frame=lambda: b"zero",
@@ -53,15 +52,44 @@ def test_a_cycle_is_told_of_the_periods_missed_before_it_and_the_last_frames_are
     script: Any = SimpleNamespace(finished=False)
 
     def command(_state: int, _active_t_ns: int) -> Command:
-        script.finished = len(told) == len(SKIPPED) - 1
+        script.finished = len(sent) == cycles - 1
         return Command.NONE
 
     script.next = command
-    ring = RingWriter(directory=tmp_path)
-    pacer: Any = ScriptedPacer()
+    ring = RingWriter(directory=folder)
     result = RealtimeLoop(cycle, port, ring, pacer, script, send=True, telemetry_alive=lambda: True).run()
     ring.close()
+    return result, sent
+
+
+def test_a_cycle_is_told_of_the_periods_missed_before_it_and_the_last_frames_are_zero(tmp_path: Path) -> None:
+    told = []
+
+    def step(header: Any, _frames: Any) -> bytes:
+        told.append((int(header["cycle"]), int(header["t_ns"]), int(header["skipped"])))
+        return b"drive"
+
+    result, sent = run_loop(step, len(SKIPPED), ScriptedPacer(), tmp_path)
     numbers = np.cumsum(np.array(SKIPPED) + 1) - 1
     assert told == [(int(n), int(n) * PERIOD_NS, skipped) for n, skipped in zip(numbers, SKIPPED, strict=True)]
     assert result.cycles == len(SKIPPED)
     assert sent == [b"drive"] * len(SKIPPED) + [b"zero"] * ZERO_FRAMES
+
+
+def test_a_cycle_is_told_how_long_our_own_thread_worked_in_the_one_before(tmp_path: Path) -> None:
+    """Somebody else had the processor (here: we slept), or we worked: only the second is our own overrun."""
+    long_ns = 20_000_000
+    told = []
+
+    def step(header: Any, _frames: Any) -> bytes:
+        told.append(int(header["cpu_ns"]))
+        if len(told) == 1:
+            time.sleep(long_ns / 1e9)
+        if len(told) == 2:
+            end_ns = time.thread_time_ns() + long_ns
+            while time.thread_time_ns() < end_ns:
+                pass
+        return b""
+
+    run_loop(step, 3, ScriptedPacer(), tmp_path)
+    assert told[0] == 0 and 0 < told[1] < long_ns / 2 and long_ns <= told[2] < 2 * long_ns

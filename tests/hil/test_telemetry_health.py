@@ -39,14 +39,14 @@ def test_percentiles_are_right_to_a_twentieth(median_us: float, sigma: float, n:
 
 def test_nothing_counted_is_no_figure() -> None:
     assert set(Spread().figures_us().values()) == {None}
-    assert LoopHealth().report(0) is None
+    assert LoopHealth(1_000_000).report(0) is None
 
 
 def rows(first: int, n: int, skipped_at: int = -1) -> np.ndarray:
     made = np.zeros(n, dtype=SNAPSHOT)
     made["cycle"] = np.arange(first, first + n)
     made["t_ns"] = made["cycle"] * 1_000_000
-    made["lateness_ns"], made["exec_ns"] = 20_000, 300_000
+    made["lateness_ns"], made["exec_ns"], made["cpu_ns"] = 20_000, 300_000, 250_000
     if skipped_at >= 0:
         made["skipped"][skipped_at] = 7
         made["overruns"][skipped_at:] = 1
@@ -54,17 +54,19 @@ def rows(first: int, n: int, skipped_at: int = -1) -> np.ndarray:
 
 
 def test_a_run_is_told_in_figures_that_json_knows() -> None:
-    health = LoopHealth()
+    health = LoopHealth(1_000_000)
     start = rows(0, 100)
-    start["lateness_ns"][0] = start["exec_ns"][0] = 2**40  # of no cycle: nothing ran before the first
+    start[["lateness_ns", "exec_ns", "cpu_ns"]][0] = (2**40,) * 3  # of no cycle: nothing ran before the first
     health.add(start)
     first = health.report(0)
     assert first is not None and first["rate_hz"] is None and first["cycles"] == 100
-    health.add(rows(107, 50, skipped_at=0))
+    late = rows(107, 50, skipped_at=0)
+    late["cpu_ns"][[7, 9]] = 1_000_001, 1_000_000  # more than a period: ours; a whole period is none
+    health.add(late)
     found = health.report(3)
     assert found is not None and to_json(found)
     assert (found["cycle"], found["cycles"], found["periods_skipped"], found["overruns"]) == (156, 150, 7, 1)
-    assert found["lost"] == 3
+    assert found["lost"] == 3 and found["own_overruns"] == 1 and found["cpu_us"]["max"] == 1000.001
     assert found["rate_hz"] == pytest.approx(1000.0)
     assert found["lateness_us"]["max"] == 20.0 and found["exec_us"]["max"] == 300.0
 
