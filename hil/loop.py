@@ -14,6 +14,7 @@ from servohil.hil.gate import DeviceState
 from servohil.hil.inputs import BUS_DOWN, BUS_OFF, InputsBuffer
 from servohil.hil.operator_script import FAULTS, OperatorScript
 from servohil.hil.pacer import Pacer
+from servohil.hil.phase_lock import PhaseLock
 from servohil.hil.ring import Kind, RingWriter
 
 START_MARGIN_NS: Final = 2_000_000
@@ -54,6 +55,7 @@ class RealtimeLoop:
         script: the operator of an unattended run; `script.stop()` ends the loop in order.
         send: False = shadow mode, nothing is ever sent.
         telemetry_alive: asked about once a second; a dead reader is reported at the end, never waited for.
+        lock: moves the deadlines behind the device's frames; None: our own clock alone.
     """
 
     def __init__(
@@ -65,6 +67,7 @@ class RealtimeLoop:
         script: OperatorScript,
         send: bool,
         telemetry_alive: Callable[[], bool],
+        lock: PhaseLock | None = None,
     ) -> None:
         self._cycle = cycle
         self._port = port
@@ -73,6 +76,7 @@ class RealtimeLoop:
         self._script = script
         self._send = send
         self._alive = telemetry_alive
+        self._lock = lock
         self._inputs = InputsBuffer()
 
     def run(self) -> LoopResult:
@@ -84,6 +88,7 @@ class RealtimeLoop:
 
     def _run(self) -> LoopResult:
         cycle, port, ring, pacer, script = self._cycle, self._port, self._ring, self._pacer, self._script
+        lock = self._lock
         header, frames = self._inputs.header, self._inputs.frames
         snapshot_bytes = cycle.snapshot_bytes
         origin_ns = pacer.start(START_MARGIN_NS)
@@ -99,6 +104,8 @@ class RealtimeLoop:
             cpu_start_ns = time.thread_time_ns()
             number += 1 + pacer.skipped
             n = port.drain(frames)
+            if lock is not None:
+                pacer.shift(lock.shift_ns(frames, n, pacer.lateness_ns))
             header["cycle"] = number
             header["t_ns"] = now - origin_ns
             header["skipped"] = pacer.skipped

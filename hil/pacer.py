@@ -76,6 +76,10 @@ class Pacer:
         self.skipped += missed
         return now
 
+    def shift(self, by_ns: int) -> None:
+        """Move the grid of the deadlines; to call between `wait` and `advance`."""
+        self.deadline_ns += by_ns
+
     def advance(self, now_ns: int) -> None:
         """Close the cycle at `now_ns`: set the next deadline, and count what was missed of the grid until then."""
         self.deadline_ns, self.skipped = skip_missed(self.deadline_ns, self.period_ns, now_ns)

@@ -21,6 +21,7 @@ from servohil.hil.dry_run import dry_run
 from servohil.hil.loop import LoopResult, RealtimeLoop, final_words
 from servohil.hil.operator_script import OperatorScript
 from servohil.hil.pacer import NS_PER_S, Pacer
+from servohil.hil.phase_lock import PhaseLock
 from servohil.hil.realtime_setup import Step, make_realtime
 from servohil.hil.ring import RingWriter, capacity_for
 from servohil.hil.telemetry_child import TelemetryChild, telemetry_setup
@@ -112,7 +113,8 @@ def run_controller(rig: Rig, options: RunOptions, say: Say) -> RunSummary:
             if not step.ok:
                 say(f"real time: {step.reason}")
         pacer = Pacer(rig.loop.period_ns, rig.loop.phase, round(rig.loop.spin_s * NS_PER_S))
-        loop = RealtimeLoop(cycle, port, ring, pacer, script, not options.listen_only, child.alive)
+        lock = phase_lock(rig, cycle)
+        loop = RealtimeLoop(cycle, port, ring, pacer, script, not options.listen_only, child.alive, lock)
         discard_old_frames(port)
         result = loop.run()
         telemetry = child.finish(final_words(result))
@@ -124,6 +126,14 @@ def run_controller(rig: Rig, options: RunOptions, say: Say) -> RunSummary:
 def bus_ids(cycle: Cycle) -> tuple[int, ...]:
     """What the controller listens to: its sensors, and its own id, where another commander would be heard."""
     return (*cycle.codec.receive_ids, *cycle.codec.transmit_ids)
+
+
+def phase_lock(rig: Rig, cycle: Cycle) -> PhaseLock | None:
+    """What keeps the deadlines behind the message `loop.sync`; None without one."""
+    if not rig.loop.sync:
+        return None
+    can_id = next(message.frame_id for message in cycle.codec.messages if message.name == rig.loop.sync)
+    return PhaseLock(rig.loop.period_ns, rig.loop.sync_delay_ns, can_id)
 
 
 def discard_old_frames(port: Port) -> None:

@@ -67,6 +67,23 @@ def _spins_for_less_than_a_period(folder: Path, loop: Loop) -> Iterator[Problem]
         yield Problem(("loop", "spin_s"), f"must be below the period of {loop.rate_hz:g} Hz, {1 / loop.rate_hz:g} s")
 
 
+def _follows_a_message_of_its_rate(folder: Path, loop: Loop, bus: Bus, signals: Signals) -> Iterator[Problem]:
+    if not loop.sync:
+        if loop.sync_delay_s is not None:
+            yield Problem(("loop", "sync_delay_s"), "there is no loop.sync; remove the key or name a message")
+        return
+    received = {path.split(".")[0] for name, path in signals.model_dump().items() if name not in COMMAND_SIGNALS}
+    able = [name for name, message in bus.messages.items() if name in received and message.period_ns == loop.period_ns]
+    if loop.sync not in able:
+        text = (
+            f"must be a message that we receive once per period of {loop.rate_hz:g} Hz: {', '.join(able) or 'none is'}"
+        )
+        yield Problem(("loop", "sync"), text)
+    if not 0 < loop.sync_delay_ns < loop.period_ns:
+        text = f"must be above 0 and below the period of {loop.rate_hz:g} Hz, {1 / loop.rate_hz:g} s"
+        yield Problem(("loop", "sync_delay_s"), text)
+
+
 def _limits_in_order(folder: Path, limits: Limits) -> Iterator[Problem]:
     if limits.position_max_m <= limits.position_min_m:
         yield Problem(("limits", "position_max_m"), f"must be above position_min_m = {limits.position_min_m}")
@@ -132,6 +149,7 @@ RELATIONS: Final = (
     Relation(("bus",), _data_ids),
     Relation(("signals", "bus"), _signals_have_messages),
     Relation(("loop",), _spins_for_less_than_a_period),
+    Relation(("loop", "bus", "signals"), _follows_a_message_of_its_rate),
     Relation(("limits",), _limits_in_order),
     Relation(("limits",), _ramp_within_slew),
     Relation(("control", "limits"), _dead_band_within_command),

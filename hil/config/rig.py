@@ -28,6 +28,8 @@ class Loop(Section):
     priority: Annotated[int, Field(ge=1, le=99)]  # SCHED_FIFO
     processors: tuple[Annotated[int, Field(ge=0)], ...] = ()  # that the controller may use; none: all
     spin_s: NonNegative = 0.0  # of a period: the last part of the wait, in which the processor is kept
+    sync: str = ""  # message of the device whose arrival the deadlines follow; none: our own clock alone
+    sync_delay_s: Positive | None = None  # from its arrival to the deadline; a quarter of a period if not said
 
     @field_validator("processors", mode="before")
     @classmethod
@@ -38,6 +40,11 @@ class Loop(Section):
     def period_ns(self) -> int:
         """Length of one cycle, ns."""
         return round(NS_PER_S / self.rate_hz)
+
+    @property
+    def sync_delay_ns(self) -> int:
+        """From the arrival of the `sync` message to the deadline, ns."""
+        return self.period_ns // 4 if self.sync_delay_s is None else round(self.sync_delay_s * NS_PER_S)
 
 
 class Message(Section):

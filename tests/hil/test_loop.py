@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from servohil.drivers.frame import FRAME
 from servohil.hil.commands import Command
 from servohil.hil.loop import ZERO_FRAMES, RealtimeLoop
+from servohil.hil.phase_lock import PhaseLock
 from servohil.hil.ring import RingWriter
 from servohil.hil.snapshot import SnapshotRecord
 
@@ -35,11 +37,17 @@ class ScriptedPacer:
         self.deadline_ns += (1 + self.skipped) * PERIOD_NS
         return self.deadline_ns
 
+    def shift(self, by_ns: int) -> None:
+        self.deadline_ns += by_ns
+
     def advance(self, _now_ns: int) -> None:
         self.skipped = -1  # of the next deadline: of no use to anybody before the next wake-up
 
 
-def run_loop(step: Callable[[Any, Any], bytes], cycles: int, pacer: Any, folder: Path) -> tuple[Any, list[bytes]]:
+def run_loop(
+    step: Callable[[Any, Any], bytes], cycles: int, pacer: Any, folder: Path,
+    drain: Callable[[Any], int] = lambda _: 0, lock: PhaseLock | None = None,
+) -> tuple[Any, list[bytes]]:  # fmt: skip
     """`cycles` cycles that do `step`: the loop's result, and what was sent."""
     record = SnapshotRecord()
     sent: list[bytes] = []
@@ -48,7 +56,7 @@ def run_loop(step: Callable[[Any, Any], bytes], cycles: int, pacer: Any, folder:
         command_id=160, zero_frame=lambda: b"zero",
     )  # fmt: skip
     health = SimpleNamespace(send_failed=0, bus_off=False, down=False)
-    port: Any = SimpleNamespace(drain=lambda _: 0, health=health, send=lambda _, data: sent.append(data))
+    port: Any = SimpleNamespace(drain=drain, health=health, send=lambda _, data: sent.append(data))
     script: Any = SimpleNamespace(finished=False)
 
     def command(_state: int, _active_t_ns: int) -> Command:
@@ -57,7 +65,7 @@ def run_loop(step: Callable[[Any, Any], bytes], cycles: int, pacer: Any, folder:
 
     script.next = command
     ring = RingWriter(directory=folder)
-    result = RealtimeLoop(cycle, port, ring, pacer, script, send=True, telemetry_alive=lambda: True).run()
+    result = RealtimeLoop(cycle, port, ring, pacer, script, True, lambda: True, lock).run()
     ring.close()
     return result, sent
 
@@ -93,3 +101,26 @@ def test_a_cycle_is_told_how_long_our_own_thread_worked_in_the_one_before(tmp_pa
 
     run_loop(step, 3, ScriptedPacer(), tmp_path)
     assert told[0] == 0 and 0 < told[1] < long_ns / 2 and long_ns <= told[2] < 2 * long_ns
+
+
+def test_the_deadlines_follow_the_frames_of_the_device(tmp_path: Path) -> None:
+    """Each frame is 5 us too old for its cycle: the deadlines come earlier, at what the lock says."""
+    delay_ns, can_id = 250_000, 0x121
+    times = []
+
+    def drain(frames: Any) -> int:
+        frames["id"][0], frames["age_ns"][0] = can_id, delay_ns + 5_000
+        return 1
+
+    def step(header: Any, _frames: Any) -> bytes:
+        times.append(int(header["t_ns"]))
+        return b""
+
+    run_loop(step, 4, ScriptedPacer(), tmp_path, drain, PhaseLock(PERIOD_NS, delay_ns, can_id))
+    alone = np.cumsum(np.array(SKIPPED[:4]) + 1) * PERIOD_NS - PERIOD_NS
+    twin = PhaseLock(PERIOD_NS, delay_ns, can_id)
+    frames = np.zeros(1, FRAME)
+    drain(frames)
+    shifts = [twin.shift_ns(frames, 1, 0) for _ in range(3)]
+    assert np.array_equal(times - alone, np.cumsum([0, *shifts]))
+    assert all(shift < 0 for shift in shifts)
