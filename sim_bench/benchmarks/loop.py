@@ -1,8 +1,7 @@
-"""`hil benchmark loop`: what one cycle costs, stage by stage, what the bus costs beside a named
-peer, and what the control laws and the diagnosis cost.
+"""`hil benchmark loop`: what one cycle costs, part by part; how late it wakes beside cyclictest; what the bus costs
+beside a named peer, and what the control laws and the diagnosis cost.
 
-Two ways to look at each stage: back to back, when caches are warm, and after sleeping through the rest of a period,
-as in the real loop. Medians; tails belong to the machine, not to the program.
+Medians; tails belong to the machine, not to the program.
 """
 
 import os
@@ -16,71 +15,72 @@ from servohil.drivers.frame import FRAME
 from servohil.drivers.open_port import open_port
 from servohil.drivers.port import BusUnavailable
 from servohil.hil.claims import Claim
-from servohil.hil.commands import Command
 from servohil.hil.config import Rig
-from servohil.hil.cycle import Cycle
-from servohil.hil.dry_run import PlausibleSensors, dry_run
-from servohil.hil.inputs import InputsBuffer
-from servohil.hil.ring import Kind, RingReader, RingWriter
+from servohil.sim_bench.benchmarks.cyclictest_peer import PACKAGE, cyclictest_us
 from servohil.sim_bench.benchmarks.diagnosis import diagnosis_claims
 from servohil.sim_bench.benchmarks.laws import law_claims
+from servohil.sim_bench.benchmarks.paced_loop import NOT_COUNTED, PRIORITY, PacedLoop, paced, run_loop
 
 NS_PER_US: Final = 1e3
-REST_OF_PERIOD_S: Final = 0.8e-3
-ENABLE_AT: Final = 150  # cycles: the stages are measured with the law at work
+SPIN_NS: Final = 100_000
+RATES_HZ: Final = (1500, 2000, 2500, 3000, 4000)
+SECONDS_PER_RATE: Final = 3
+WHOLE_US: Final = "<= 150"
 MULTICAST_GROUP: Final = "239.74.163.77"
 MULTICAST_PORT: Final = 43177
-STAGES: Final = ("drain", "cycle", "send", "ring", "whole")
 
 Tick = Callable[[int], None]
 
 
-def measure_cycle(rig: Rig, cycles: int, rest_s: float, tick: Tick) -> dict[str, float]:
-    """Median cost of each stage in us, with the controller and a frame source on the embedded bus of this process.
+def interleaved(rig: Rig, cycles: int, rounds: int, tick: Tick) -> dict[str, list[Any]]:
+    """cyclictest, our loop, and our loop with a spin, in turns on the same processor: lists under these names."""
+    processor = max(os.sched_getaffinity(0))
+    period_ns = rig.loop.period_ns
+    found: dict[str, list[Any]] = {"cyclictest": [], "paced": [], "spinning": []}
+    for number in range(rounds):
+        tick(number)
+        found["cyclictest"].append(cyclictest_us(cycles, round(period_ns / NS_PER_US), PRIORITY, processor))
+        found["paced"].append(paced(rig.path, cycles, period_ns, 0, processor))
+        found["spinning"].append(paced(rig.path, cycles, period_ns, SPIN_NS, processor))
+    return found
 
-    Args:
-        rig: the configuration.
-        cycles: how many to run; the first ENABLE_AT and some more are not counted.
-        rest_s: sleep before each cycle.
-        tick: told the number of each cycle, for a progress bar.
-    """
-    cycle = Cycle(rig)
-    dry_run(cycle)
-    sensors = PlausibleSensors(cycle)
-    channel = f"benchmark-{os.getpid()}"
-    ours = open_port("servohil", channel, receive_ids=cycle.codec.receive_ids)
-    theirs = open_port("servohil", channel, receive_ids=())
-    ring = RingWriter()
-    reader = RingReader(ring.file.path)
-    inputs = InputsBuffer()
-    spent: dict[str, list[int]] = {stage: [] for stage in STAGES}
-    try:
-        for number in range(cycles):
-            tick(number)
-            n = sensors.fill(inputs)
-            for k in range(n):
-                theirs.send(int(inputs.frames["id"][k]), inputs.frames["data"][k].tobytes())
-            inputs.header["cycle"], inputs.header["t_ns"] = number, number * cycle.period_ns
-            inputs.header["command_code"] = Command.ENABLE if number == ENABLE_AT else Command.NONE
-            time.sleep(rest_s)
-            t = [time.perf_counter_ns()]
-            payload = inputs.payload(ours.drain(inputs.frames))
-            t.append(time.perf_counter_ns())
-            frame = cycle.step(inputs.header, inputs.frames)
-            t.append(time.perf_counter_ns())
-            ours.send(cycle.command_id, frame)
-            t.append(time.perf_counter_ns())
-            ring.write(Kind.SNAPSHOT, cycle.snapshot_bytes, payload)
-            t.append(time.perf_counter_ns())
-            while reader.read() is not None:
-                pass
-            if number > 2 * ENABLE_AT:
-                for stage, cost in zip(STAGES, (*np.diff(t), t[-1] - t[0]), strict=True):
-                    spent[stage].append(int(cost))
-    finally:
-        for closable in (ours, theirs, reader, ring):
-            closable.close()
-    return {stage: float(np.median(values)) / NS_PER_US for stage, values in spent.items()}
+
+def wakeup_claims(found: dict[str, list[Any]], how: str, judging: bool) -> list[Claim]:
+    """Lateness of each, medians over the rounds, and ours against cyclictest's."""
+    late: dict[str, dict[str, float] | None] = {}
+    for name, rounds in found.items():
+        each = [one.lateness if isinstance(one, PacedLoop) else one for one in rounds]
+        known = [one for one in each if one]
+        late[name] = {key: float(np.median([one[key] for one in known])) for key in known[0]} if known else None
+    claims = []
+    for name, figures in late.items():
+        text = how if figures else f"not measured: no cyclictest, or no right to its priority (package {PACKAGE})"
+        limits = {"spinning": {"p50": "<= 2"}}.get(name, {}) if judging else {}
+        for key in ("p50", "p99", "p999"):
+            value = figures[key] if figures else None
+            limit = limits.get(key) if figures else None
+            claims.append(Claim.judge(f"loop.lateness.{name}.{key}", value, "us", limit, text))
+    ours, peer = late["paced"], late["cyclictest"]
+    if ours and peer:
+        more = ours["p50"] - peer["p50"]
+        limit = f"<= {max(0.5 * peer['p50'], 5.0):.3g}" if judging else None
+        text = f"{how}; median of ours less cyclictest's: half of it or 5 us are allowed"
+        claims.append(Claim.judge("loop.lateness.more_than_cyclictest", more, "us", limit, text))
+    return claims
+
+
+def highest_rate_claim(rig: Rig) -> Claim:
+    """The highest of RATES_HZ at which 99 of 100 cycles need less processor time than a period."""
+    processor = max(os.sched_getaffinity(0))
+    held = 0
+    for rate_hz in RATES_HZ:
+        period_ns = round(1e9 / rate_hz)
+        cycles = NOT_COUNTED + rate_hz * SECONDS_PER_RATE
+        if paced(rig.path, cycles, period_ns, 0, processor).cpu_p99 * NS_PER_US > period_ns:
+            break
+        held = rate_hz
+    text = f"hil benchmark loop; of {', '.join(map(str, RATES_HZ))} Hz: 99 % of the cycles within their period"
+    return Claim.judge("loop.highest_rate", held, "Hz", ">= 2000", text)
 
 
 def measure_bus(interface: str, channel: str, options: dict[str, Any], rounds: int) -> float | None:
@@ -109,23 +109,37 @@ def measure_bus(interface: str, channel: str, options: dict[str, Any], rounds: i
 
 
 def loop_claims(rig: Rig, quick: bool, tick: Tick) -> list[Claim]:
-    """All figures of the benchmark."""
-    cycles = 1500 if quick else 6000
-    command = f"hil benchmark loop{' --quick' if quick else ''}; median of {cycles - 2 * ENABLE_AT} cycles"
-    claims = []
-    for name, rest_s, limit in (("warm", 0.0, None), ("paced", REST_OF_PERIOD_S, "<= 1000")):
-        costs = measure_cycle(rig, cycles, rest_s, tick)
-        for stage in STAGES:
-            how = f"{command}, {'back to back' if not rest_s else 'after sleeping 0.8 ms each time'}"
-            bound = limit if stage == "whole" else None
-            claims.append(Claim.judge(f"loop.{name}.{stage}", costs[stage], "us", bound, how))
-    rounds = 500 if quick else 3000
-    ours = measure_bus("servohil", f"benchmark-{os.getpid()}", {}, rounds)
-    peer = measure_bus("udp_multicast", MULTICAST_GROUP, {"port": MULTICAST_PORT}, rounds)
-    how = f"hil benchmark loop; send and receive one frame, four at a time, median of {rounds} rounds"
+    """All figures of the benchmark; a quick run judges none of the machine's."""
+    command = f"hil benchmark loop{' --quick' if quick else ''}"
+    cycles, rounds = (1500, 1) if quick else (6000, 5)
+    warm = run_loop(rig, cycles, None, tick)
+    found = interleaved(rig, cycles, rounds, tick)
+    claims = _stage_claims("warm", [warm], None if quick else WHOLE_US, f"{command}; {cycles} cycles back to back")
+    how = f"{command}; {cycles} cycles at {rig.loop.rate_hz:g} Hz, SCHED_FIFO, median of {rounds} rounds"
+    claims += _stage_claims("paced", found["paced"], None if quick else WHOLE_US, how)
+    share = 100.0 * float(np.median([one.share for one in found["paced"]]))
+    claims.append(Claim.judge("loop.paced.processor", share, "%", None, f"{how}; share of one processor"))
+    claims += wakeup_claims(found, how, judging=not quick)
+    if not quick:
+        claims.append(highest_rate_claim(rig))
+    bus_rounds = 500 if quick else 3000
+    ours = measure_bus("servohil", f"benchmark-{os.getpid()}", {}, bus_rounds)
+    peer = measure_bus("udp_multicast", MULTICAST_GROUP, {"port": MULTICAST_PORT}, bus_rounds)
+    how = f"hil benchmark loop; send and receive one frame, four at a time, median of {bus_rounds} rounds"
     claims.append(Claim.judge("loop.bus.servohil", ours, "us", None, how))
     claims.append(Claim.judge("loop.bus.udp_multicast", peer, "us", None, how))
     if ours is not None and peer is not None:
         ratio = peer / ours
         claims.append(Claim.judge("loop.bus.udp_multicast_to_servohil", ratio, "1", "> 1", "the two above"))
     return [*claims, *law_claims(quick), *diagnosis_claims(rig, quick)]
+
+
+def _stage_claims(name: str, runs: list[PacedLoop], limit: str | None, how: str) -> list[Claim]:
+    stages = runs[0].stages
+    return [
+        Claim.judge(
+            f"loop.{name}.{stage}", float(np.median([run.stages[stage] for run in runs])), "us",
+            limit if stage == "whole" else None, how,
+        )
+        for stage in stages
+    ]  # fmt: skip
