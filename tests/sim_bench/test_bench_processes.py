@@ -3,6 +3,8 @@
 import json
 import os
 import signal
+import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,9 @@ from bench_rig import hil, only_folder, start, wait_until, write_slow_rig
 
 from servohil.hil.gate import DeviceState
 from servohil.hil.recording.reader import Recording
+from servohil.hil.ring_file import W_MONOTONIC_ORIGIN, RingFile, open_file
+from servohil.hil.snapshot import SNAPSHOT
+from servohil.hil.telemetry.session import client_settings, open_session
 from servohil.sim_bench.bench import recorded_snapshots
 
 pytestmark = pytest.mark.processes
@@ -59,6 +64,11 @@ class RunningBench:
         wait_until(active, "ACTIVE cycles in the recording")
         self.pids = child_pids(self.process.pid)
         assert set(self.pids) == {"rig", "run", "telemetry"}
+
+    def ring(self) -> closing[RingFile]:
+        """The controller's ring, to look into."""
+        setup = json.loads((self.folder / "telemetry.json").read_text())
+        return closing(open_file(setup["ring"], SNAPSHOT.itemsize))
 
     def finish(self) -> tuple[int, str]:
         """Exit code and output; nothing of the bench may be left."""
@@ -135,6 +145,50 @@ def test_kill_9_of_telemetry_leaves_the_controller_at_work(tmp_path: Path) -> No
     assert summary["loop"]["final_state"] == "DISABLED"  # its whole 8 s, and an end in order
     assert summary["loop"]["cycles"] > 350
     assert len(recorded_snapshots(bench.folder / "recording.mcap")) > 0
+
+
+def test_a_stopped_controller_leaves_the_valve_centred_and_goes_on_where_it_is(tmp_path: Path) -> None:
+    bench = RunningBench(tmp_path, duration_s=8.0)
+    bench.wait_active()
+    with bench.ring() as ring:
+        origin_ns = int(ring.words[W_MONOTONIC_ORIGIN])
+    os.kill(bench.pids["run"], signal.SIGSTOP)
+    time.sleep(1.0)  # the fault itself
+    os.kill(bench.pids["run"], signal.SIGCONT)
+    code, output = bench.finish()
+    assert code == 0, output
+    snapshots = recorded_snapshots(bench.folder / "recording.mcap")
+    gap = int(np.argmax(snapshots["skipped"]))
+    assert snapshots["skipped"][gap] >= 45  # of 50 periods
+    assert (np.diff(snapshots["cycle"]) == 1 + snapshots["skipped"][1:]).all()
+    truth = np.load(bench.folder / "truth.npy", allow_pickle=False)
+    woken_ns = origin_ns + int(snapshots["t_ns"][gap])
+    stopped = truth[(truth["t_mono_ns"] > woken_ns - 500_000_000) & (truth["t_mono_ns"] < woken_ns)]
+    assert len(stopped) > 10 and (stopped["spool_v"] == 0.0).all()  # by the node itself
+    assert snapshots["state"][gap] == DeviceState.ACTIVE
+    replayed = hil("replay", bench.folder / "recording.mcap")
+    assert replayed.returncode == 0, replayed.stdout + replayed.stderr
+
+
+@pytest.mark.nightly
+def test_a_flood_of_queries_costs_no_sample_and_no_e_stop(tmp_path: Path) -> None:
+    bench = RunningBench(tmp_path, duration_s=8.0)
+    bench.wait_active()
+    with bench.ring() as ring:
+        endpoint = ring.endpoint
+    keys = ("cmd/hold", "param/limits.command_max_v", "schema/state")
+    with open_session(client_settings([endpoint])) as session:
+        flood = [session.get(f"servohil/v1/bench/{key}", payload=b'{"value": 9.0}') for key in keys * 1000]
+        replies = [json.loads(reply.ok.payload.to_bytes()) for reply in session.get("servohil/v1/bench/cmd/estop")]
+        assert [reply["ok"] for reply in replies] == [True]
+        answered = sum(1 for replies in flood for _ in replies)  # what found no room has no answer
+    code, output = bench.finish()
+    assert code == 2, output
+    assert answered > 100
+    result = json.loads((bench.folder / "telemetry-result.json").read_text())
+    snapshots = recorded_snapshots(bench.folder / "recording.mcap")
+    assert result["lost"] == 0 and result["recorded"] == len(snapshots)
+    assert (np.diff(snapshots["cycle"]) == 1 + snapshots["skipped"][1:]).all()
 
 
 def test_kill_9_of_the_bench_itself_leaves_nothing_running(tmp_path: Path) -> None:
