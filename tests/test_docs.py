@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from bench_rig import ROOT
@@ -25,8 +26,18 @@ SILENT = re.compile(r"A process was silent for \d+ ms")  # and what it says
 MAKE = {"make bench": ".venv/bin/hil bench", "make test": ".venv/bin/pytest"}
 
 
+# Its one command is a Monte Carlo, of which tests/sim_bench/test_leakage_evaluation.py runs every part.
+NIGHTLY = {"docs/leakage_results.md"}
+
+
 def blocks(page: Path) -> list[str]:
     return BLOCK.findall(page.read_text())
+
+
+def with_its_time(page: Path) -> Any:
+    """The page as a parameter, to be run at night where it takes minutes."""
+    long = page.relative_to(ROOT).as_posix() in NIGHTLY
+    return pytest.param(page, marks=pytest.mark.nightly) if long else page
 
 
 def files(page: Path) -> dict[str, str]:
@@ -37,7 +48,7 @@ def files(page: Path) -> dict[str, str]:
 
 @pytest.mark.processes
 @pytest.mark.timeout(1500)
-@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p)], ids=lambda p: str(p.relative_to(ROOT)))
+@pytest.mark.parametrize("page", [with_its_time(p) for p in PAGES if blocks(p)], ids=lambda p: str(p.relative_to(ROOT)))
 def test_every_command_runs(page: Path, tmp_path: Path) -> None:
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     stalled = []

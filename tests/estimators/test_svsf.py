@@ -105,6 +105,7 @@ def test_without_memory_and_fully_measured_it_is_the_sliding_innovation_filter()
     assert 50 < outside < 350  # both sides of the layer were met
 
 
+@pytest.mark.nightly  # compiles for half a minute
 @pytest.mark.parametrize("seed", range(2))
 def test_output_error_keeps_the_bound_for_any_model_error(seed):
     """|z - h(x)| <= max(psi / 4, gamma |the one before|): worst-case plants, switching disturbances, bounded noise."""
