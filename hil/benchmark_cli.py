@@ -85,6 +85,18 @@ def benchmark_wakeup(rig: Path, quick: bool, json_path: Path | None, page: Path 
         run_benchmark("wakeup", load(rig), lambda tick: wakeup_claims(quick, tick), json_path, page)
 
 
+@benchmark.command("telemetry")
+@benchmark_options
+def benchmark_telemetry(rig: Path, quick: bool, json_path: Path | None, page: Path | None) -> None:
+    """How old a sample is at a subscriber, and what many rigs cost behind one router."""
+    with one_clear_line():
+        from servohil.sim_bench.benchmarks.command import run_benchmark
+        from servohil.sim_bench.benchmarks.telemetry import telemetry_claims
+
+        holds = run_benchmark("telemetry", load(rig), lambda tick: telemetry_claims(quick, tick), json_path, page)
+    sys.exit(0 if holds else EXIT_REFUSED)
+
+
 @benchmark.command("soak")
 @click.option("--duration", "duration_s", type=click.FloatRange(min=10.0), help="Seconds in motion; 3600 by default.")
 @benchmark_options
