@@ -48,18 +48,20 @@ def measure_cycle(rig: Rig, cycles: int, rest_s: float, tick: Tick) -> dict[str,
     dry_run(cycle)
     sensors = PlausibleSensors(cycle)
     channel = f"benchmark-{os.getpid()}"
-    ours = open_port("servohil", channel, receive_ids=cycle.codec.receive_ids)
-    theirs = open_port("servohil", channel, receive_ids=())
+    fd = cycle.codec.fd_flags
+    ours = open_port("servohil", channel, receive_ids=cycle.codec.receive_ids, fd=fd)
+    theirs = open_port("servohil", channel, receive_ids=(), fd=fd)
     ring = RingWriter()
     reader = RingReader(ring.file.path)
-    inputs = InputsBuffer()
+    inputs = InputsBuffer(frame=cycle.codec.frame)
     spent: dict[str, list[int]] = {stage: [] for stage in STAGES}
     try:
         for number in range(cycles):
             tick(number)
             n = sensors.fill(inputs)
             for k in range(n):
-                theirs.send(int(inputs.frames["id"][k]), inputs.frames["data"][k].tobytes())
+                sent = inputs.frames[k]
+                theirs.send(int(sent["id"]), sent["data"][: sent["dlc"]].tobytes())
             inputs.header["cycle"], inputs.header["t_ns"] = number, number * cycle.period_ns
             inputs.header["command_code"] = Command.ENABLE if number == ENABLE_AT else Command.NONE
             time.sleep(rest_s)
