@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from servohil.drivers.frame import FRAME
 from servohil.hil.commands import Command
 from servohil.hil.loop import ZERO_FRAMES, RealtimeLoop
 from servohil.hil.ring import RingWriter
@@ -46,7 +47,7 @@ def test_a_cycle_is_told_of_the_periods_missed_before_it_and_the_last_frames_are
 
     cycle: Any = SimpleNamespace(
         snapshot=record.row, snapshot_bytes=record.bytes, arena=SimpleNamespace(save=lambda: b"state"), step=step,
-        command_id=160, zero_frame=lambda: b"zero",
+        command_id=160, zero_frame=lambda: b"zero", codec=SimpleNamespace(frame=FRAME),
     )  # fmt: skip
     health = SimpleNamespace(send_failed=0, bus_off=False, down=False)
     port: Any = SimpleNamespace(drain=lambda _: 0, health=health, send=lambda _, data: sent.append(data))
