@@ -1,12 +1,19 @@
-"""Signals inside the 8 data bytes: one shift and one mask per signal, in a word of the signal's byte order.
+"""Signals of either byte order anywhere in a frame: one word of the bytes it touches, one shift and one mask.
 
-Both byte orders become the same arithmetic on a 64-bit word: little-endian signals live in the word read with byte 0
-lowest, big-endian signals in the word read with byte 0 highest.
+A signal of up to 53 bits touches at most 8 bytes, wherever it begins. Read in the signal's byte order they are one
+64-bit word, in which both byte orders are the same arithmetic.
 """
+
+from typing import Final
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+# A signal's place: the first byte it touches, how many it touches, the position of its least significant bit in the
+# word of those bytes, its width, and whether it is signed and big-endian.
+FIRST_BYTE, BYTES, SHIFT, BITS, SIGNED, BIG_ENDIAN = range(6)
+PLACE_COLUMNS: Final = 6
 
 
 def occupied_bits(start: int, length: int, big_endian: bool) -> list[int]:
@@ -18,48 +25,35 @@ def occupied_bits(start: int, length: int, big_endian: bool) -> list[int]:
     return [8 * (top // 8) + 7 - top % 8 for top in range(msb_from_top + length - 1, msb_from_top - 1, -1)]
 
 
-def word_shift(start: int, length: int, big_endian: bool) -> int:
-    """How far the signal's least significant bit sits from the low end of its word."""
-    if not big_endian:
-        return start
-    return 63 - (8 * (start // 8) + 7 - start % 8 + length - 1)
+def place(start: int, length: int, signed: bool, big_endian: bool) -> NDArray[np.int64]:
+    """(PLACE_COLUMNS,) of a DBC signal."""
+    bits = occupied_bits(start, length, big_endian)
+    ends = sorted((bits[0] // 8, bits[-1] // 8))
+    return np.array([ends[0], ends[1] - ends[0] + 1, bits[0] % 8, length, signed, big_endian])
 
 
 @njit(cache=True, nogil=True)
-def little_endian_word(data: NDArray[np.uint8], length: int) -> np.uint64:
+def take(data: NDArray[np.uint8], place: NDArray[np.int64]) -> int:
+    """The signal's raw integer."""
+    count, length = place[BYTES], place[BITS]
     word = np.uint64(0)
-    for k in range(length):
-        word |= np.uint64(data[k]) << np.uint64(8 * k)
-    return word
-
-
-@njit(cache=True, nogil=True)
-def big_endian_word(data: NDArray[np.uint8], length: int) -> np.uint64:
-    word = np.uint64(0)
-    for k in range(length):
-        word |= np.uint64(data[k]) << np.uint64(56 - 8 * k)
-    return word
-
-
-@njit(cache=True, nogil=True)
-def take(word: np.uint64, shift: int, length: int, signed: bool) -> int:
-    """The signal's raw integer. length <= 53."""
-    raw = int((word >> np.uint64(shift)) & np.uint64((1 << length) - 1))
-    if signed and raw >= (1 << (length - 1)):
+    for k in range(count):
+        at = place[FIRST_BYTE] + (k if place[BIG_ENDIAN] else count - 1 - k)
+        word = (word << np.uint64(8)) | np.uint64(data[at])
+    raw = int((word >> np.uint64(place[SHIFT])) & np.uint64((1 << length) - 1))
+    if place[SIGNED] and raw >= (1 << (length - 1)):
         raw -= 1 << length
     return raw
 
 
 @njit(cache=True, nogil=True)
-def put(raw: int, shift: int, length: int) -> np.uint64:
-    """A word that holds `raw` (two's complement where negative) and zeros elsewhere."""
-    return np.uint64(raw & ((1 << length) - 1)) << np.uint64(shift)
-
-
-@njit(cache=True, nogil=True)
-def store_words(little: np.uint64, big: np.uint64, length: int, data: NDArray[np.uint8]) -> None:
-    """Write both words over data[:length]; their bits do not overlap."""
-    for k in range(length):
-        low = (little >> np.uint64(8 * k)) & np.uint64(0xFF)
-        high = (big >> np.uint64(56 - 8 * k)) & np.uint64(0xFF)
-        data[k] = np.uint8(low | high)
+def put(data: NDArray[np.uint8], place: NDArray[np.int64], raw: int) -> None:
+    """Write `raw` (two's complement where negative) into the signal's bits; all others stay."""
+    count, shift = place[BYTES], np.uint64(place[SHIFT])
+    ones = (1 << place[BITS]) - 1
+    mask = np.uint64(ones) << shift
+    word = np.uint64(raw & ones) << shift
+    for k in range(count):
+        at = place[FIRST_BYTE] + (count - 1 - k if place[BIG_ENDIAN] else k)
+        kept = np.uint64(data[at]) & ~(mask >> np.uint64(8 * k))
+        data[at] = np.uint8((kept | (word >> np.uint64(8 * k))) & np.uint64(0xFF))

@@ -7,19 +7,35 @@ everything. Does not know what a signal is for.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from servohil.drivers import codec_kernels as kernels
-from servohil.drivers.bits import word_shift
+from servohil.drivers.bits import place
 from servohil.drivers.codec_kernels import KINDS, NEVER_NS, Kind
 from servohil.drivers.dbc import DbcError, MessageTable, load_messages
-from servohil.drivers.e2e import NO_PROTECTION, PROFILE2, MessageProtection
-from servohil.drivers.frame import DATA_BYTES, FRAME
+from servohil.drivers.e2e import NO_PROTECTION, PROFILE2, PROFILE5, MessageProtection
+from servohil.drivers.frame import FD_DATA_BYTES, FD_FRAME, FLAG_FD, FRAME
 
-__all__ = ["NEVER_NS", "NO_PROTECTION", "PROFILE2", "Codec", "DbcError", "Kind", "MessageProtection", "load_codec"]
+__all__ = [
+    "NEVER_NS",
+    "NO_PROTECTION",
+    "PROFILE2",
+    "PROFILE5",
+    "Codec",
+    "DbcError",
+    "Kind",
+    "MessageProtection",
+    "load_codec",
+]
+
+PROTECTED_BY: Final = {
+    NO_PROTECTION: kernels.UNPROTECTED,
+    PROFILE2: kernels.BY_PROFILE2,
+    PROFILE5: kernels.BY_PROFILE5,
+}
 
 
 def load_codec(
@@ -60,11 +76,15 @@ class Codec:
         self.n_receive = len(receive)
         self.receive_ids = tuple(message.frame_id for message in receive)
         self.transmit_ids = tuple(message.frame_id for message in transmit)
+        # Flags of the messages that are CAN FD, by id: what the port of this end has to know.
+        self.fd_flags = {message.frame_id: message.flags for message in self.messages if message.flags & FLAG_FD}
+        # What `receive` reads. Classic frames stay in their 24 bytes: less to copy and to record in every cycle.
+        self.frame = FD_FRAME if self.fd_flags else FRAME
         self._message_index = {message.name: k for k, message in enumerate(self.messages)}
         self._slots: dict[str, int] = {}
         self._build_tables()
         self.state_size = (len(self._slots), kernels.i8_size(len(self.messages)))
-        self._out = np.zeros(DATA_BYTES, dtype=np.uint8)
+        self._out = np.zeros(FD_DATA_BYTES, dtype=np.uint8)
         # Callers' arrays are copied in here: one memory layout, so that nothing is ever compiled inside the loop.
         self._inputs = [np.zeros(len(message.signals)) for message in self.messages]
         self.attach(np.empty(self.state_size[0]), np.empty(self.state_size[1], dtype=np.int64))
@@ -74,33 +94,26 @@ class Codec:
     def _build_tables(self) -> None:
         n_slots = sum(len(message.signals) for message in self.messages)
         self._messages = np.zeros((len(self.messages), kernels.DATA_IDS + 16), dtype=np.int64)
-        self._signals = np.zeros((n_slots, 6), dtype=np.int64)
+        self._signals = np.zeros((n_slots, kernels.SIGNAL_COLUMNS), dtype=np.int64)
         self._gains = np.zeros((n_slots, 2))
         for k, message in enumerate(self.messages):
-            protected = message.protection.e2e == PROFILE2
+            data_ids = message.protection.data_ids
             first, count = len(self._slots), len(message.signals)
             self._messages[k, : kernels.DATA_IDS] = (
                 message.frame_id,
                 message.length,
-                protected,
+                PROTECTED_BY[message.protection.e2e],
                 k >= self.n_receive,
+                bool(message.flags & FLAG_FD),
                 first,
                 count,
             )
-            if protected:
-                self._messages[k, kernels.DATA_IDS :] = message.protection.data_ids
+            self._messages[k, kernels.DATA_IDS : kernels.DATA_IDS + len(data_ids)] = data_ids
             for signal in message.signals:
                 s = len(self._slots)
                 self._slots[f"{message.name}.{signal.name}"] = s
-                shift = word_shift(signal.start, signal.length, signal.big_endian)
-                self._signals[s] = (
-                    shift,
-                    signal.length,
-                    signal.signed,
-                    signal.big_endian,
-                    signal.raw_min,
-                    signal.raw_max,
-                )
+                where = place(signal.start, signal.length, signal.signed, signal.big_endian)
+                self._signals[s] = (*where, signal.raw_min, signal.raw_max)
                 self._gains[s] = signal.gain, signal.bias
         ends = self._signals[:, kernels.RAW_MIN :] * self._gains[:, :1] + self._gains[:, 1:]
         self.minimum = ends.min(axis=1)  # (slots,) least value that can be sent or is accepted, SI
@@ -149,7 +162,7 @@ class Codec:
         return range(int(first), int(first + count))
 
     def receive(self, frames: NDArray[Any], n: int, now_ns: int) -> int:
-        """Judge and decode frames[:n] (dtype FRAME) in order; returns how many were rejected.
+        """Judge and decode frames[:n] (dtype `self.frame`) in order; returns how many were rejected.
 
         Rejected: wrong length or type, CRC error, repeated, out of sequence, out of the DBC's range, and frames of
         others under our own transmit ids. Not rejected, only counted: frames foreign to us, error frames, and the first
@@ -182,7 +195,7 @@ class Codec:
 
     def _warm_up(self) -> None:
         """Compile now, for live buffers and for read-only ones (a replay reads its frames from a file)."""
-        frames = np.zeros(1, dtype=FRAME)
+        frames = np.zeros(1, dtype=self.frame)
         self.receive(frames, 0, 0)
         frames.flags.writeable = False
         self.receive(frames, 0, 0)

@@ -11,9 +11,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from servohil.drivers.bits import big_endian_word, little_endian_word, put, store_words, take
-from servohil.drivers.e2e import COUNTER_MODULUS, MAX_DELTA, NO_COUNTER, p02_check, p02_protect
-from servohil.drivers.frame import DATA_BYTES, FLAG_ERROR
+from servohil.drivers.bits import PLACE_COLUMNS, put, take
+from servohil.drivers.e2e import (
+    COUNTER_MODULUS,
+    MAX_DELTA,
+    NO_COUNTER,
+    P05_COUNTER_MODULUS,
+    p02_check,
+    p02_protect,
+    p05_check,
+    p05_protect,
+)
+from servohil.drivers.frame import FLAG_BRS, FLAG_ERROR, FLAG_FD
 
 
 class Kind(IntEnum):
@@ -26,7 +35,7 @@ class Kind(IntEnum):
     WRONG_SEQUENCE = 4
     CRC_ERROR = 5
     WRONG_LENGTH = 6
-    WRONG_TYPE = 7  # extended, remote or FD frame under one of our ids
+    WRONG_TYPE = 7  # extended or remote frame under one of our ids; FD where the message is classic, or the reverse
     OUT_OF_RANGE = 8  # outside the minimum and maximum of the DBC
     OWN_ID = 9  # somebody else sends a message that is ours: a second commander
     FOREIGN = 10  # id in none of our lists; last row
@@ -39,10 +48,13 @@ KINDS: Final = len(Kind)
 NEVER_NS: Final = -(2**62)
 ERROR_CLASS_BUS_OFF: Final = 0x40  # linux/can/error.h, CAN_ERR_BUSOFF
 
-# Columns of `messages`; 16 data ids follow.
-ID, LENGTH, PROTECTED, TRANSMIT, FIRST_SLOT, SLOTS, DATA_IDS = range(7)
-# Columns of `signals`.
-SHIFT, BITS, SIGNED, BIG_ENDIAN, RAW_MIN, RAW_MAX = range(6)
+# Columns of `messages`; 16 data ids follow, or the one of profile 5.
+ID, LENGTH, PROTECTED, TRANSMIT, FD, FIRST_SLOT, SLOTS, DATA_IDS = range(8)
+# How a message is PROTECTED.
+UNPROTECTED, BY_PROFILE2, BY_PROFILE5 = range(3)
+# Columns of `signals`, after those of its place.
+RAW_MIN, RAW_MAX = PLACE_COLUMNS, PLACE_COLUMNS + 1
+SIGNAL_COLUMNS: Final = PLACE_COLUMNS + 2
 
 _OK: Final = int(Kind.OK)
 _OK_SOME_LOST: Final = int(Kind.OK_SOME_LOST)
@@ -87,7 +99,6 @@ def _find(messages: NDArray[np.int64], can_id: int) -> int:
 @njit(cache=True, nogil=True)
 def _decode(
     data: NDArray[np.uint8],
-    length: int,
     first: int,
     count: int,
     signals: NDArray[np.int64],
@@ -95,12 +106,9 @@ def _decode(
     values: NDArray[np.float64],
 ) -> bool:
     """All signals of one frame into values[first:first + count]; False, and nothing written, if one is out of range."""
-    little = little_endian_word(data, length)
-    big = big_endian_word(data, length)
     for commit in (False, True):
         for s in range(first, first + count):
-            word = big if signals[s, BIG_ENDIAN] else little
-            raw = take(word, signals[s, SHIFT], signals[s, BITS], signals[s, SIGNED] != 0)
+            raw = take(data, signals[s])
             if commit:
                 values[s] = raw * gains[s, 0] + gains[s, 1]
             elif raw < signals[s, RAW_MIN] or raw > signals[s, RAW_MAX]:
@@ -148,16 +156,21 @@ def receive_frames(
         length = messages[index, LENGTH]
         data = frames[k]["data"]
         kind = _OK
-        if flags != 0:
+        if (flags & ~FLAG_BRS != FLAG_FD) if messages[index, FD] else flags != 0:
             kind = _WRONG_TYPE
-        elif int(frames[k]["dlc"]) != length:
+        # Records without room for the message would be read beyond their end.
+        elif int(frames[k]["dlc"]) != length or length > data.shape[0]:
             kind = _WRONG_LENGTH
-        elif messages[index, PROTECTED]:
+        elif messages[index, PROTECTED] == BY_PROFILE2:
             kind, last_counter[index] = p02_check(
                 data, length, last_counter[index], MAX_DELTA, messages[index, DATA_IDS:]
             )
+        elif messages[index, PROTECTED] == BY_PROFILE5:
+            kind, last_counter[index] = p05_check(
+                data, length, last_counter[index], MAX_DELTA, messages[index, DATA_IDS]
+            )
         if kind <= _OK_SOME_LOST and not _decode(
-            data, length, messages[index, FIRST_SLOT], messages[index, SLOTS], signals, gains, f8
+            data, messages[index, FIRST_SLOT], messages[index, SLOTS], signals, gains, f8
         ):
             kind = _OUT_OF_RANGE
         counts[index, kind] += 1
@@ -182,27 +195,25 @@ def encode_message(
     values: NDArray[np.float64],
     data: NDArray[np.uint8],
 ) -> int:
-    """Fill data[:8]; returns -1, or the position of the first value that the message cannot carry (nothing changes)."""
+    """Fill data[:length of the message]; returns -1, or the position of the first value that the message cannot carry
+    (nothing changes)."""
     m = messages.shape[0]
-    first = messages[index, FIRST_SLOT]
-    little = np.uint64(0)
-    big = np.uint64(0)
+    first, length = messages[index, FIRST_SLOT], messages[index, LENGTH]
     for j in range(messages[index, SLOTS]):
         s = first + j
         counts = np.rint((values[j] - gains[s, 1]) / gains[s, 0])
         # Written so that NaN fails.
         if not (counts >= signals[s, RAW_MIN] and counts <= signals[s, RAW_MAX]):
             return j
-        word = put(int(counts), signals[s, SHIFT], signals[s, BITS])
-        if signals[s, BIG_ENDIAN]:
-            big |= word
-        else:
-            little |= word
+    data[:length] = 0
     for j in range(messages[index, SLOTS]):
-        f8[first + j] = values[j]
-    store_words(little, big, DATA_BYTES, data)
-    if messages[index, PROTECTED]:
-        counter = (i8[3 * m + index] + 1) % COUNTER_MODULUS
-        i8[3 * m + index] = counter
-        p02_protect(data, messages[index, LENGTH], counter, messages[index, DATA_IDS:])
+        s = first + j
+        put(data, signals[s], int(np.rint((values[j] - gains[s, 1]) / gains[s, 0])))
+        f8[s] = values[j]
+    if messages[index, PROTECTED] == BY_PROFILE2:
+        i8[3 * m + index] = (i8[3 * m + index] + 1) % COUNTER_MODULUS
+        p02_protect(data, length, i8[3 * m + index], messages[index, DATA_IDS:])
+    elif messages[index, PROTECTED] == BY_PROFILE5:
+        i8[3 * m + index] = (i8[3 * m + index] + 1) % P05_COUNTER_MODULUS
+        p05_protect(data, length, i8[3 * m + index], messages[index, DATA_IDS])
     return -1

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from servohil.drivers.bits import occupied_bits
-from servohil.drivers.e2e import PROFILE2, MessageProtection
-from servohil.drivers.frame import DATA_BYTES
+from servohil.drivers.e2e import PROFILE2, PROFILE5, MessageProtection
+from servohil.drivers.frame import DATA_BYTES, FD_LENGTHS, FLAG_BRS, FLAG_FD
 
 # Factor from the unit in the DBC to SI.
 SI_FACTORS: Final[Mapping[str, float]] = {
@@ -54,8 +54,11 @@ NO_MESSAGE: Final = "VECTOR__INDEPENDENT_SIG_MSG"
 MAX_STANDARD_ID: Final = 0x7FF
 CRC_SIGNAL: Final = "crc"
 COUNTER_SIGNAL: Final = "counter"
-# Where profile 2 wants them: (start bit, length).
+# Where profiles 2 and 5 want them: (start bit, length).
 PROFILE2_PLACES: Final = {CRC_SIGNAL: (0, 8), COUNTER_SIGNAL: (8, 4)}
+PROFILE5_PLACES: Final = {CRC_SIGNAL: (0, 16), COUNTER_SIGNAL: (16, 8)}
+PLACES: Final[Mapping[str, Mapping[str, tuple[int, int]]]] = {PROFILE2: PROFILE2_PLACES, PROFILE5: PROFILE5_PLACES}
+BIT_RATE_SWITCH: Final = "CANFD_BRS"  # attribute of CAN FD messages, 1 unless the file says otherwise
 
 
 class DbcError(ValueError):
@@ -83,13 +86,14 @@ class SignalTable:
 
 @dataclass(frozen=True, slots=True)
 class MessageTable:
-    """One message and the signals that carry data (with profile 2, crc and counter are not among them)."""
+    """One message and the signals that carry data: crc and counter of a protected one are not among them."""
 
     name: str
     frame_id: int
     length: int
     protection: MessageProtection
     signals: tuple[SignalTable, ...]
+    flags: int = 0  # of a frame that is sent: FLAG_FD, and FLAG_BRS, or 0 for classic CAN
 
 
 def load_messages(path: Path, protections: Mapping[str, MessageProtection], names: Sequence[str]) -> list[MessageTable]:
@@ -104,7 +108,7 @@ def load_messages(path: Path, protections: Mapping[str, MessageProtection], name
             raise DbcError(f'{path}: no message "{name}"; the file has {_listed(by_name)}')
         if name not in protections:
             raise DbcError(f'{path}: message "{name}" has no protection configured; there is {_listed(protections)}')
-        tables.append(_message_table(path, by_name[name], protections[name]))
+        tables.append(_message_table(path, by_name[name], protections[name], _flags(database, by_name[name])))
     return tables
 
 
@@ -162,20 +166,43 @@ def _check_unique(path: Path, messages: Sequence[Any]) -> None:
         seen_names.add(message.name)
 
 
-def _message_table(path: Path, message: Any, protection: MessageProtection) -> MessageTable:
+def _flags(database: Any, message: Any) -> int:
+    """Those of a message's frames, by the attributes VFrameFormat (cantools reads it) and CANFD_BRS."""
+    if not message.is_fd:
+        return 0
+    given = message.dbc.attributes.get(BIT_RATE_SWITCH)
+    defined = database.dbc.attribute_definitions.get(BIT_RATE_SWITCH)
+    value = given.value if given is not None else defined.default_value if defined is not None else 1
+    return FLAG_FD if str(value) == "0" else FLAG_FD | FLAG_BRS
+
+
+def _message_table(path: Path, message: Any, protection: MessageProtection, flags: int) -> MessageTable:
     where = f'{path}: message "{message.name}"'
     if message.is_extended_frame or message.frame_id > MAX_STANDARD_ID:
         raise DbcError(f"{where}: frame id 0x{message.frame_id:X} is extended; allowed are 11-bit ids up to 0x7FF")
-    if not 1 <= message.length <= DATA_BYTES or message.is_fd:
-        raise DbcError(f"{where}: {message.length} data bytes; allowed are classic CAN frames of 1 to {DATA_BYTES}")
+    if message.is_fd and (message.length == 0 or message.length not in FD_LENGTHS):
+        longer = ", ".join(str(length) for length in FD_LENGTHS if length > DATA_BYTES)
+        raise DbcError(
+            f"{where}: {message.length} data bytes; allowed are CAN FD frames of 1 to {DATA_BYTES}, {longer}"
+        )
+    if not message.is_fd and not 1 <= message.length <= DATA_BYTES:
+        raise DbcError(
+            f"{where}: {message.length} data bytes; allowed are classic CAN frames of 1 to {DATA_BYTES}, and longer "
+            'ones where the attribute VFrameFormat is "StandardCAN_FD"'
+        )
     if message.is_multiplexed():
         raise DbcError(f"{where}: has multiplexed signals, which are not supported")
     _check_places(where, message)
-    if protection.e2e == PROFILE2:
-        _check_profile2(where, message)
-    data_signals = [s for s in message.signals if not (protection.e2e == PROFILE2 and s.name in PROFILE2_PLACES)]
+    if protection.e2e == PROFILE2 and message.length > DATA_BYTES:
+        raise DbcError(
+            f'{where}: {message.length} data bytes; e2e = "{PROFILE2}" is for 1 to {DATA_BYTES}, its CRC of 8 bits '
+            f'misses errors in more; allowed is "{PROFILE5}"'
+        )
+    places = PLACES.get(protection.e2e, {})
+    _check_protection(where, message, protection.e2e, places)
+    data_signals = [signal for signal in message.signals if signal.name not in places]
     tables = tuple(_signal_table(f'{where}, signal "{signal.name}"', signal) for signal in data_signals)
-    return MessageTable(message.name, message.frame_id, message.length, protection, tables)
+    return MessageTable(message.name, message.frame_id, message.length, protection, tables, flags)
 
 
 def _check_places(where: str, message: Any) -> None:
@@ -199,19 +226,20 @@ def _check_places(where: str, message: Any) -> None:
             owner[bit] = signal.name
 
 
-def _check_profile2(where: str, message: Any) -> None:
+def _check_protection(where: str, message: Any, e2e: str, places: Mapping[str, tuple[int, int]]) -> None:
     signals = {signal.name: signal for signal in message.signals}
-    for name, (start, length) in PROFILE2_PLACES.items():
+    for name, (start, length) in places.items():
         if name not in signals:
             raise DbcError(
-                f'{where}: no signal "{name}", which e2e = "{PROFILE2}" needs (start {start}, {length} bits); '
+                f'{where}: no signal "{name}", which e2e = "{e2e}" needs (start {start}, {length} bits); '
                 f'the message has {_listed(signals)}. A device without protection is configured e2e = "none"'
             )
         signal = signals[name]
         bits = occupied_bits(signal.start, signal.length, signal.byte_order == "big_endian")
         if bits != list(range(start, start + length)) or signal.is_signed or signal.scale != 1 or signal.offset != 0:
+            order = ", big-endian" if signal.byte_order == "big_endian" else ""
             raise DbcError(
-                f'{where}, signal "{name}": start {signal.start}, {signal.length} bits; e2e = "{PROFILE2}" needs '
+                f'{where}, signal "{name}": start {signal.start}, {signal.length} bits{order}; e2e = "{e2e}" needs '
                 f"start {start}, {length} bits, unsigned, scale 1, offset 0"
             )
 

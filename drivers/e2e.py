@@ -1,14 +1,20 @@
-"""End-to-end protection of classic CAN frames: AUTOSAR E2E profile 2, for both ends of the bus.
+"""End-to-end protection: AUTOSAR E2E profile 2 for frames of up to 8 bytes, profile 5 for CAN FD; for both ends.
 
-Layout: byte 0 carries the CRC, the low nibble of byte 1 a counter that runs 0..15. The CRC (CRC-8H2F: polynomial 0x2F,
-start 0xFF, final xor 0xFF) covers bytes 1..n-1 and then one secret byte, the data id that belongs to the counter: 16
-ids per message, so that a frame sent under a wrong id does not pass.
+Profile 2. Layout: byte 0 carries the CRC, the low nibble of byte 1 a counter that runs 0..15. The CRC (CRC-8H2F:
+polynomial 0x2F, start 0xFF, final xor 0xFF) covers bytes 1..n-1 and then one secret byte, the data id that belongs to
+the counter: 16 ids per message, so that a frame sent under a wrong id does not pass.
 
 Detects repetition, loss, wrong order, masquerade, and every 1-, 2- and 3-bit error in 8 bytes, provided the data ids
 are chosen well: an error in the counter also picks another data id, and with arbitrary ids about 1 in 2000 of the 3-bit
-errors then cancels out. `data_ids` gives lists that have no such hole. It is no cryptography.
+errors then cancels out. `data_ids` gives lists that have no such hole.
 
-Source: AUTOSAR, Specification of SW-C End-to-End Communication Protection Library, profile 2.
+Profile 5. Layout: bytes 0 and 1 carry the CRC, low byte first, byte 2 a counter that runs 0..255. The CRC (polynomial
+0x1021, start 0xFFFF) covers bytes 2..n-1 and then the 16-bit data id of the message, low byte first. Detects the same,
+in up to 64 bytes and with any data id; a CRC of 8 bits misses some 2-bit errors there.
+
+Neither is cryptography.
+
+Source: AUTOSAR, Specification of SW-C End-to-End Communication Protection Library, profiles 2 and 5.
 """
 
 from dataclasses import dataclass
@@ -22,6 +28,8 @@ from numpy.typing import NDArray
 POLYNOMIAL: Final = 0x2F
 DATA_ID_COUNT: Final = 16
 COUNTER_MODULUS: Final = 16
+P05_POLYNOMIAL: Final = 0x1021
+P05_COUNTER_MODULUS: Final = 256
 NO_COUNTER: Final = -1
 # Up to two frames lost in a row are tolerated (and reported); data that old is still fresher than the age limits.
 MAX_DELTA: Final = 3
@@ -31,7 +39,14 @@ MAX_DELTA: Final = 3
 _DATA_ID_PATTERN: Final = (0, 165, 142, 6, 144, 101, 68, 175, 126, 238, 40, 66, 189, 237, 209, 39)
 
 PROFILE2: Final = "profile2"
+PROFILE5: Final = "profile5"
 NO_PROTECTION: Final = "none"
+# Data ids that a message needs, the greatest of them, and what such a number is called.
+_IDS_NEEDED: Final = {
+    PROFILE2: (DATA_ID_COUNT, 0xFF, "a byte"),
+    PROFILE5: (1, 0xFFFF, "a 16-bit number"),
+    NO_PROTECTION: (0, 0xFF, "a byte"),
+}
 
 
 class Check(IntEnum):
@@ -66,7 +81,8 @@ def data_ids(base: int) -> tuple[int, ...]:
 class MessageProtection:
     """How one message is sent and protected.
 
-    `e2e` is "profile2" (then `data_ids` are 16 bytes) or "none", for devices that carry neither counter nor CRC.
+    `e2e` is "profile2" (then `data_ids` are 16 bytes), "profile5" (one 16-bit number), or "none" (no data ids), for
+    devices that carry neither counter nor CRC.
 
     Raises ValueError for an unknown profile, a period that is not positive, or wrong data ids.
     """
@@ -78,13 +94,15 @@ class MessageProtection:
     def __post_init__(self) -> None:
         if self.period_ns <= 0:
             raise ValueError(f"period_ns = {self.period_ns}: must be greater than 0")
-        if self.e2e not in {PROFILE2, NO_PROTECTION}:
-            raise ValueError(f'e2e = "{self.e2e}": allowed are "{PROFILE2}" and "{NO_PROTECTION}"')
-        if self.e2e == PROFILE2 and len(self.data_ids) != DATA_ID_COUNT:
-            raise ValueError(f'data_ids: {len(self.data_ids)} given, e2e = "{PROFILE2}" needs {DATA_ID_COUNT}')
+        if self.e2e not in _IDS_NEEDED:
+            allowed = ", ".join(f'"{name}"' for name in _IDS_NEEDED)
+            raise ValueError(f'e2e = "{self.e2e}": allowed are {allowed}')
+        count, greatest, kind = _IDS_NEEDED[self.e2e]
         for value in self.data_ids:
-            if not 0 <= value <= 0xFF:
-                raise ValueError(f"data_ids: {value} is not a byte, allowed are 0 to 255")
+            if not 0 <= value <= greatest:
+                raise ValueError(f"data_ids: {value} is not {kind}, allowed are 0 to {greatest}")
+        if len(self.data_ids) != count:
+            raise ValueError(f'data_ids: {len(self.data_ids)} given, e2e = "{self.e2e}" needs {count}')
 
 
 def _crc_table() -> NDArray[np.uint8]:
@@ -98,6 +116,21 @@ def _crc_table() -> NDArray[np.uint8]:
 
 
 CRC_TABLE: Final = _crc_table()
+
+
+@njit(cache=True, nogil=True)
+def _in_sequence(counter: int, last_counter: int, modulus: int, max_delta: int) -> tuple[int, int]:
+    """What `counter` says of a frame whose CRC is right; (Check code, the counter to compare the next frame with)."""
+    if last_counter == NO_COUNTER:
+        return _INITIAL, counter
+    delta = (counter - last_counter) % modulus
+    if delta == 0:
+        return _REPEATED, last_counter
+    if delta > max_delta:
+        return _WRONG_SEQUENCE, counter
+    if delta > 1:
+        return _OK_SOME_LOST, counter
+    return _OK, counter
 
 
 @njit(cache=True, nogil=True)
@@ -135,14 +168,50 @@ def p02_check(
     """
     if int(data[0]) != p02_crc(data, length, data_ids):
         return _CRC_ERROR, last_counter
-    counter = int(data[1]) & 0x0F
-    if last_counter == NO_COUNTER:
-        return _INITIAL, counter
-    delta = (counter - last_counter) % COUNTER_MODULUS
-    if delta == 0:
-        return _REPEATED, last_counter
-    if delta > max_delta:
-        return _WRONG_SEQUENCE, counter
-    if delta > 1:
-        return _OK_SOME_LOST, counter
-    return _OK, counter
+    return _in_sequence(int(data[1]) & 0x0F, last_counter, COUNTER_MODULUS, max_delta)
+
+
+def _crc16_table() -> NDArray[np.uint16]:
+    table = np.zeros(256, dtype=np.uint16)
+    for byte in range(256):
+        crc = byte << 8
+        for _ in range(8):
+            crc = (crc << 1) ^ (P05_POLYNOMIAL if crc & 0x8000 else 0)
+        table[byte] = crc & 0xFFFF
+    return table
+
+
+CRC16_TABLE: Final = _crc16_table()
+
+
+@njit(cache=True, nogil=True)
+def crc16(data: NDArray[np.uint8], start: int, stop: int, crc: int) -> int:
+    """CRC-16 register (polynomial 0x1021) after data[start:stop]. Begin with crc = 0xFFFF."""
+    for k in range(start, stop):
+        crc = ((crc << 8) & 0xFFFF) ^ int(CRC16_TABLE[(crc >> 8) ^ int(data[k])])
+    return crc
+
+
+@njit(cache=True, nogil=True)
+def p05_crc(data: NDArray[np.uint8], length: int, data_id: int) -> int:
+    """The CRC that bytes 0 and 1 should hold, for a frame of `length` bytes and the data id of its message."""
+    crc = crc16(data, 2, length, 0xFFFF)
+    crc = ((crc << 8) & 0xFFFF) ^ int(CRC16_TABLE[(crc >> 8) ^ (data_id & 0xFF)])
+    return ((crc << 8) & 0xFFFF) ^ int(CRC16_TABLE[(crc >> 8) ^ (data_id >> 8)])
+
+
+@njit(cache=True, nogil=True)
+def p05_protect(data: NDArray[np.uint8], length: int, counter: int, data_id: int) -> None:
+    """Write `counter` (0..255) and the CRC into `data`, in place."""
+    data[2] = counter
+    crc = p05_crc(data, length, data_id)
+    data[0] = crc & 0xFF
+    data[1] = crc >> 8
+
+
+@njit(cache=True, nogil=True)
+def p05_check(data: NDArray[np.uint8], length: int, last_counter: int, max_delta: int, data_id: int) -> tuple[int, int]:
+    """Judge one received frame; as `p02_check`."""
+    if int(data[0]) | int(data[1]) << 8 != p05_crc(data, length, data_id):
+        return _CRC_ERROR, last_counter
+    return _in_sequence(int(data[2]), last_counter, P05_COUNTER_MODULUS, max_delta)

@@ -5,14 +5,14 @@ randomness: the same sends give the same drains, and every age is 0.
 """
 
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.drivers.frame import FRAME_STRUCT
-from servohil.drivers.port import PortHealth
+from servohil.drivers.frame import STRUCTS
+from servohil.drivers.port import CLASSIC, PortHealth
 
 
 class InProcessPort:
@@ -20,21 +20,25 @@ class InProcessPort:
 
     interface = "in-process"
 
-    def __init__(self, name: str, receive_ids: Collection[int] | None) -> None:
+    def __init__(self, name: str, receive_ids: Collection[int] | None, fd: Mapping[int, int]) -> None:
         self.name = name
         self.reason = "an in-process bus: both ends are in this process and share its simulated time"
         self.health = PortHealth()
         self._receive_ids = None if receive_ids is None else frozenset(receive_ids)
-        self._sent: deque[bytes] = deque()
-        self._waiting: deque[bytes] = deque()
+        self._fd = dict(fd)
+        self._sent: deque[tuple[int, int, bytes]] = deque()  # id, flags, data
+        self._waiting: deque[tuple[int, int, bytes]] = deque()
         self._closed = False
 
     def drain(self, frames: NDArray[Any], /) -> int:
         n = min(len(self._waiting), len(frames))
         if n == 0:
             return 0
-        records = b"".join(self._waiting.popleft() for _ in range(n))
-        frames.view(np.uint8)[: len(records)] = np.frombuffer(records, dtype=np.uint8)
+        size = frames.itemsize
+        pack_into, buffer = STRUCTS[size].pack_into, frames.view(np.uint8).data
+        for k in range(n):
+            can_id, flags, data = self._waiting.popleft()
+            pack_into(buffer, k * size, can_id, len(data), flags, 0, 0, data)
         self.health.received += n
         return n
 
@@ -42,7 +46,7 @@ class InProcessPort:
         if self._closed:
             self.health.saw_send_failure()
             return False
-        self._sent.append(FRAME_STRUCT.pack(can_id, len(data), 0, 0, 0, data))
+        self._sent.append((can_id, self._fd.get(can_id, 0), bytes(data)))
         self.health.saw_sent()
         return True
 
@@ -50,10 +54,9 @@ class InProcessPort:
         self._closed = True
         self._waiting.clear()
 
-    def _accept(self, record: bytes) -> None:
-        can_id = FRAME_STRUCT.unpack(record)[0]
-        if not self._closed and (self._receive_ids is None or can_id in self._receive_ids):
-            self._waiting.append(record)
+    def _accept(self, frame: tuple[int, int, bytes]) -> None:
+        if not self._closed and (self._receive_ids is None or frame[0] in self._receive_ids):
+            self._waiting.append(frame)
 
 
 class InProcessBus:
@@ -70,9 +73,13 @@ class InProcessBus:
 
 
 def in_process_bus(
-    controller_ids: Collection[int] | None = None, node_ids: Collection[int] | None = None
+    controller_ids: Collection[int] | None = None,
+    node_ids: Collection[int] | None = None,
+    fd: Mapping[int, int] = CLASSIC,
 ) -> tuple[InProcessPort, InProcessPort, InProcessBus]:
-    """(controller port, node port, bus). The ids are those that each side receives; None receives everything."""
-    controller = InProcessPort("in-process:controller", controller_ids)
-    node = InProcessPort("in-process:node", node_ids)
+    """(controller port, node port, bus). The ids are those that each side receives; None receives everything. `fd`: as
+    of `open_port`.
+    """
+    controller = InProcessPort("in-process:controller", controller_ids, fd)
+    node = InProcessPort("in-process:node", node_ids, fd)
     return controller, node, InProcessBus(controller, node)

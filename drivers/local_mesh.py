@@ -2,7 +2,8 @@
 
 A bus is a folder, a node on it a listening SOCK_SEQPACKET socket in that folder; every pair of nodes holds one
 connection. (Datagram sockets would be simpler, but the kernel queues only net.unix.max_dgram_qlen = 10 of those.) One
-record per frame: the 24 bytes of FRAME, with the sender's monotonic clock where the receiver then puts the age.
+record per frame: the 24 bytes of FRAME, or the 80 of FD_FRAME where the data needs them, with the sender's monotonic
+clock where the receiver then puts the age.
 
 Guaranteed: order per sender; no echo; nothing leaves the host or the user; a slow node loses frames (counted by the
 sender) and delays nobody; a node that dies, even by kill -9, disappears without a trace.
@@ -30,10 +31,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.drivers.frame import FLAG_ERROR, FRAME, FRAME_STRUCT
+from servohil.drivers.frame import DATA_BYTES, FD_FRAME_STRUCT, FLAG_ERROR, FRAME_STRUCT, STRUCTS
 from servohil.drivers.port import BadBusOption, BusUnavailable
 
-RECORD_BYTES: Final = FRAME.itemsize
 CHANNEL_PATTERN: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,31}")
 # sun_path holds 108 bytes with the closing zero.
 MAX_PATH_BYTES: Final = 107
@@ -162,7 +162,7 @@ class Mesh:
         peer.close()
 
     def send_record(self, record: bytes) -> None:
-        """Give one FRAME record, stamped with the monotonic clock in `age_ns`, to every other node. Never blocks."""
+        """Give one frame's record, stamped with the monotonic clock in `age_ns`, to every other node. Never blocks."""
         self._accept_waiting()
         for peer in self._senders:
             try:
@@ -176,7 +176,8 @@ class Mesh:
                     self._stop_sending_to(peer)
 
     def send_frame(self, can_id: int, dlc: int, flags: int, data: bytes) -> None:
-        self.send_record(FRAME_STRUCT.pack(can_id, dlc, flags, 0, time.monotonic_ns(), data))
+        record = FRAME_STRUCT if len(data) <= DATA_BYTES else FD_FRAME_STRUCT
+        self.send_record(record.pack(can_id, dlc, flags, 0, time.monotonic_ns(), data))
 
     def drain_into(self, frames: NDArray[Any], ids: frozenset[int] | None = None) -> int:
         """Fill `frames` from the front with what waits; returns how many. Never blocks.
@@ -186,7 +187,8 @@ class Mesh:
         """
         if self._closed:
             return 0
-        buffer = frames.view(np.uint8).data
+        buffer, record_bytes = frames.view(np.uint8).data, frames.itemsize
+        record = STRUCTS[record_bytes]
         n, room, reads_left = 0, len(frames), READS_PER_ROOM * len(frames)
         ready = self._epoll.poll(0)
         if any(fd not in self._peers for fd, _ in ready):  # somebody joins, and may have sent already
@@ -198,22 +200,23 @@ class Mesh:
         for fd, _ in ready[first:] + ready[:first]:
             peer = self._peers[fd]
             while n < room and reads_left > 0:
-                at = n * RECORD_BYTES
+                at = n * record_bytes
                 reads_left -= 1
                 try:
-                    size = peer.recv_into(buffer[at : at + RECORD_BYTES])
+                    size = peer.recv_into(buffer[at : at + record_bytes])  # a longer record is cut
                 except BlockingIOError:
                     break
                 except ConnectionResetError:
                     continue  # it closed without reading everything of ours; its own last frames still follow
                 except OSError:
                     size = 0
-                if size != RECORD_BYTES:
+                arrived = STRUCTS.get(size)
+                if arrived is None:
                     self._remove(fd)
                     break
-                can_id, dlc, flags, _, sent_ns, data = FRAME_STRUCT.unpack_from(buffer, at)
+                can_id, dlc, flags, _, sent_ns, data = arrived.unpack_from(buffer, at)
                 if ids is None or can_id in ids or flags & FLAG_ERROR:
-                    FRAME_STRUCT.pack_into(buffer, at, can_id, dlc, flags, 0, max(now_ns - sent_ns, 0), data)
+                    record.pack_into(buffer, at, can_id, dlc, flags, 0, max(now_ns - sent_ns, 0), data)
                     n += 1
         return n
 

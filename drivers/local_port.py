@@ -1,25 +1,32 @@
 """The loop's port on the embedded bus: straight onto the mesh, without python-can's message objects in between."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from numpy.typing import NDArray
 
 from servohil.drivers.frame import FLAG_ERROR
 from servohil.drivers.local_mesh import Mesh
-from servohil.drivers.port import PortHealth
+from servohil.drivers.port import CLASSIC, PortHealth
 
 INTERFACE = "servohil"
 
 
 class LocalPort:
-    """A port on the bus `channel`. Raises BadBusOption or BusUnavailable as Mesh does."""
+    """A port on the bus `channel`. `fd`: as of `open_port`. Raises BadBusOption or BusUnavailable as Mesh does."""
 
     interface = INTERFACE
 
-    def __init__(self, channel: str, receive_ids: Collection[int] | None, reason: str | None = None) -> None:
+    def __init__(
+        self,
+        channel: str,
+        receive_ids: Collection[int] | None,
+        reason: str | None = None,
+        fd: Mapping[int, int] = CLASSIC,
+    ) -> None:
         self._mesh = Mesh(channel)
         self._receive_ids = None if receive_ids is None else frozenset(receive_ids)
+        self._fd = dict(fd)
         self._closed = False
         self.name = f"{INTERFACE}:{channel}"
         self.reason = reason or f'the embedded bus "{channel}" (host-local Unix sockets), as configured'
@@ -41,7 +48,7 @@ class LocalPort:
         if self._closed:
             self.health.saw_send_failure()
             return False
-        self._mesh.send_frame(can_id, len(data), 0, data)
+        self._mesh.send_frame(can_id, len(data), self._fd.get(can_id, 0), data)
         self.health.dropped = self._mesh.dropped
         self.health.saw_sent()
         return True

@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping
 from typing import Any, Final
 
 from servohil.drivers import can_network, local_port
-from servohil.drivers.port import BadBusOption, BusUnavailable, Port, UnknownInterface
+from servohil.drivers.port import CLASSIC, BadBusOption, BusUnavailable, Port, UnknownInterface
 from servohil.drivers.python_can_port import PythonCanPort
 
 AUTO: Final = "auto"
@@ -20,11 +20,13 @@ def open_port(
     *,
     receive_ids: Collection[int] | None = None,
     options: Mapping[str, Any] | None = None,
+    fd: Mapping[int, int] = CLASSIC,
 ) -> Port:
     """A port on the bus, ready to drain and send.
 
     `interface`: "auto", "servohil" (the embedded bus), "socketcan", "udp_multicast", or any other one of python-can,
-    which then gets `options` as they are. `receive_ids`: what to listen to, None for everything.
+    which then gets `options` as they are. `receive_ids`: what to listen to, None for everything. `fd`: the flags of
+    CAN FD messages by id (`Codec.fd_flags`), none for a classic bus; with any the interface is opened for CAN FD.
 
     "auto" is SocketCAN where the kernel has it and `channel` exists and is up, else the embedded bus of that name.
 
@@ -32,37 +34,43 @@ def open_port(
     """
     chosen = dict(options or {})
     if interface == AUTO:
-        return _open_auto(channel, receive_ids, chosen)
+        return _open_auto(channel, receive_ids, chosen, fd)
     if interface == local_port.INTERFACE:
         _refuse_options(interface, chosen, allowed=())
-        return local_port.LocalPort(channel, receive_ids)
+        return local_port.LocalPort(channel, receive_ids, fd=fd)
     if interface == SOCKETCAN:
-        return _open_socketcan(channel, receive_ids, chosen, f'SocketCAN channel "{channel}", as configured')
+        return _open_socketcan(channel, receive_ids, chosen, fd, f'SocketCAN channel "{channel}", as configured')
     if interface == UDP_MULTICAST:
-        return _open_udp_multicast(channel, receive_ids, chosen)
-    return _open_other(interface, channel, receive_ids, chosen)
+        return _open_udp_multicast(channel, receive_ids, chosen, fd)
+    return _open_other(interface, channel, receive_ids, chosen, fd)
 
 
-def _open_auto(channel: str, receive_ids: Collection[int] | None, options: dict[str, Any]) -> Port:
-    obstacle = can_network.socketcan_obstacle(channel)
+def _open_auto(
+    channel: str, receive_ids: Collection[int] | None, options: dict[str, Any], fd: Mapping[int, int]
+) -> Port:
+    obstacle = can_network.socketcan_obstacle(channel, bool(fd))
     if obstacle is None:
         return _open_socketcan(
-            channel, receive_ids, options, f'SocketCAN channel "{channel}": this kernel has it and it is up'
+            channel, receive_ids, options, fd, f'SocketCAN channel "{channel}": this kernel has it and it is up'
         )
     reason = f'the embedded bus "{channel}" (host-local Unix sockets), because {obstacle}'
     # Options are SocketCAN's here, and the embedded bus has none.
-    return local_port.LocalPort(channel, receive_ids, reason)
+    return local_port.LocalPort(channel, receive_ids, reason, fd)
 
 
-def _open_socketcan(channel: str, receive_ids: Collection[int] | None, options: dict[str, Any], reason: str) -> Port:
-    obstacle = can_network.socketcan_obstacle(channel)
+def _open_socketcan(
+    channel: str, receive_ids: Collection[int] | None, options: dict[str, Any], fd: Mapping[int, int], reason: str
+) -> Port:
+    obstacle = can_network.socketcan_obstacle(channel, bool(fd))
     if obstacle is not None:
         raise BusUnavailable(f'interface "{SOCKETCAN}", channel "{channel}": {obstacle}')
-    bus = _python_can_bus(SOCKETCAN, channel, options)
-    return PythonCanPort(bus, SOCKETCAN, channel, receive_ids, reason)
+    bus = _python_can_bus(SOCKETCAN, channel, options, bool(fd))
+    return PythonCanPort(bus, SOCKETCAN, channel, receive_ids, reason, fd)
 
 
-def _open_udp_multicast(channel: str, receive_ids: Collection[int] | None, options: dict[str, Any]) -> Port:
+def _open_udp_multicast(
+    channel: str, receive_ids: Collection[int] | None, options: dict[str, Any], fd: Mapping[int, int]
+) -> Port:
     _refuse_options(UDP_MULTICAST, options, allowed=("port", "hop_limit"))
     port = options.get("port", UDP_DEFAULT_PORT)
     if not isinstance(port, int) or not 0 < port <= 0xFFFF:
@@ -80,16 +88,24 @@ def _open_udp_multicast(channel: str, receive_ids: Collection[int] | None, optio
     if obstacle is not None:
         raise BusUnavailable(f'interface "{UDP_MULTICAST}", channel "{channel}": {obstacle}')
     # hop_limit 0 whatever the options say: valve commands stay on this host.
-    bus = _python_can_bus(UDP_MULTICAST, channel, {"port": port, "hop_limit": 0})
+    # With fd whatever the messages are: without it an FD frame would end `recv(0)` although others wait behind it.
+    bus = _python_can_bus(UDP_MULTICAST, channel, {"port": port, "hop_limit": 0}, fd=True)
     reason = f"UDP multicast group {channel}, port {port}, kept on this host by hop_limit = 0, as configured"
-    return PythonCanPort(bus, UDP_MULTICAST, f"{channel}:{port}", receive_ids, reason)
+    return PythonCanPort(bus, UDP_MULTICAST, f"{channel}:{port}", receive_ids, reason, fd)
 
 
-def _open_other(interface: str, channel: str, receive_ids: Collection[int] | None, options: dict[str, Any]) -> Port:
+def _open_other(
+    interface: str,
+    channel: str,
+    receive_ids: Collection[int] | None,
+    options: dict[str, Any],
+    fd: Mapping[int, int],
+) -> Port:
     known = known_interfaces()
     if interface not in known:
         raise UnknownInterface(f'interface "{interface}": unknown; known are {", ".join(known)}')
-    return PythonCanPort(_python_can_bus(interface, channel, options), interface, channel, receive_ids)
+    bus = _python_can_bus(interface, channel, options, bool(fd))
+    return PythonCanPort(bus, interface, channel, receive_ids, fd=fd)
 
 
 def known_interfaces() -> list[str]:
@@ -99,18 +115,25 @@ def known_interfaces() -> list[str]:
     return sorted({AUTO, *can.VALID_INTERFACES})
 
 
-def _python_can_bus(interface: str, channel: str, options: dict[str, Any]) -> Any:
+def _python_can_bus(interface: str, channel: str, options: dict[str, Any], fd: bool) -> Any:
     import can
 
+    where = f'interface "{interface}", channel "{channel}"'
+    if fd and options.get("fd", True) is not True:
+        raise BadBusOption(f"{where}, option fd = {options['fd']!r}: the DBC has CAN FD messages; allowed is true")
     try:
         # Only what the rig says: a ~/.canrc must not add options.
-        return can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
+        bus = can.Bus(
+            channel=channel, interface=interface, ignore_config=True, **(options | {"fd": True} if fd else options)
+        )
     except (can.CanError, OSError, ImportError) as error:
-        raise BusUnavailable(f'interface "{interface}", channel "{channel}": {_first_line(error)}') from error
+        raise BusUnavailable(f"{where}: {_first_line(error)}") from error
     except (ValueError, TypeError) as error:
-        raise BadBusOption(
-            f'interface "{interface}", channel "{channel}", options {options}: {_first_line(error)}'
-        ) from error
+        raise BadBusOption(f"{where}, options {options}: {_first_line(error)}") from error
+    if fd and bus.protocol is can.CanProtocol.CAN_20:
+        bus.shutdown()
+        raise BusUnavailable(f"{where}: carries classic frames only, and the DBC has CAN FD messages")
+    return bus
 
 
 def _first_line(error: Exception) -> str:

@@ -5,12 +5,17 @@ The contract, kept by every port and checked by one test class over all of them:
 - `drain` takes what waits, at most `len(frames)` of it, in the order each sender sent it; it never blocks and never
   raises; what goes wrong is counted in `health`. What did not fit comes with the next drain;
 - `send` never blocks and never raises; False means that the bus did not take the frame;
+- what is sent under an id of `fd`, the mapping a port is opened with, is a CAN FD frame with the flags given there; all
+  else is classic. What arrives says of itself which one it is; `drain` keeps as many data bytes as `frames` has room
+  for, and `dlc` says how many there were;
 - frames we sent ourselves do not come back;
 - only frames with one of the ids asked for arrive, and error frames (FLAG_ERROR), whatever their id;
 - after `close`, `drain` gives 0 and `send` gives False; closing twice is fine.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Final, Protocol
 
 from numpy.typing import NDArray
@@ -18,6 +23,8 @@ from numpy.typing import NDArray
 # linux/can/error.h: the id of an error frame is a set of classes.
 ERROR_CLASS_BUS_OFF: Final = 0x40
 ERROR_CLASS_RESTARTED: Final = 0x100
+# No id has FD frames.
+CLASSIC: Final[Mapping[int, int]] = MappingProxyType({})
 
 
 class BusError(OSError):
@@ -105,9 +112,9 @@ class Port(Protocol):
     def health(self) -> PortHealth: ...
 
     def drain(self, frames: NDArray[Any], /) -> int:
-        """Fill `frames` (dtype FRAME) from the front with what waits; returns how many. Never blocks, never raises."""
+        """Fill `frames` (of either FRAME) from the front with what waits; returns how many. Never blocks or raises."""
 
     def send(self, can_id: int, data: bytes) -> bool:
-        """Hand one classic data frame with an 11-bit id to the bus. Never blocks, never raises."""
+        """Hand one data frame with an 11-bit id to the bus. Never blocks, never raises."""
 
     def close(self) -> None: ...

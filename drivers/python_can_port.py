@@ -7,14 +7,14 @@ frame that they drop ends `recv(timeout=0)` with None although more frames wait.
 import errno
 import time
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.drivers.frame import DATA_BYTES, FLAG_ERROR, FLAG_EXTENDED, FLAG_FD, FLAG_REMOTE, FRAME, FRAME_STRUCT
-from servohil.drivers.port import PortHealth
+from servohil.drivers.frame import FLAG_BRS, FLAG_ERROR, FLAG_EXTENDED, FLAG_FD, FLAG_REMOTE, STRUCTS
+from servohil.drivers.port import CLASSIC, PortHealth
 
 DOWN_ERRNOS: Final = frozenset(
     {errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.ENETUNREACH, errno.EADDRNOTAVAIL, errno.EBADF}
@@ -32,14 +32,20 @@ KERNEL_FILTERS: Final = frozenset({"socketcan"})
 
 
 class PythonCanPort:
-    """Wraps an open python-can `bus`; closing the port shuts it down.
+    """Wraps an open python-can `bus`; closing the port shuts it down. `fd`: as of `open_port`.
 
     `age_ns` of a frame comes from the kernel's stamp where there is one. That clock may be stepped, so the age is
     bounded by the time since the last drain that left nothing behind: no frame of this drain can be older.
     """
 
     def __init__(
-        self, bus: Any, interface: str, channel: str, receive_ids: Collection[int] | None, reason: str | None = None
+        self,
+        bus: Any,
+        interface: str,
+        channel: str,
+        receive_ids: Collection[int] | None,
+        reason: str | None = None,
+        fd: Mapping[int, int] = CLASSIC,
     ) -> None:
         import can
 
@@ -49,12 +55,14 @@ class PythonCanPort:
         self.name = f"{interface}:{channel}"
         self.reason = reason or f'python-can\'s interface "{interface}", channel "{channel}", as configured'
         self.health = PortHealth()
+        self._fd = dict(fd)
         self._receive_ids = None if receive_ids is None else frozenset(receive_ids)
         if interface in KERNEL_FILTERS and receive_ids is not None:
             # Without "extended": an extended frame under one of our ids shall be seen, and refused by the codec.
             bus.set_filters([{"can_id": can_id, "can_mask": 0x1FFFFFFF} for can_id in receive_ids])
         self._stamped = interface in WALL_CLOCK_STAMPS
-        self._echoes: deque[tuple[int, bytes]] | None = deque(maxlen=ECHO_MEMORY) if interface in ECHOING else None
+        # (id, flags, data)
+        self._echoes: deque[tuple[int, int, bytes]] | None = deque(maxlen=ECHO_MEMORY) if interface in ECHOING else None
         self._emptied_ns = time.monotonic_ns()
         self._closed = False
 
@@ -62,7 +70,7 @@ class PythonCanPort:
         if self._closed:
             return 0
         health, recv = self.health, self._bus.recv
-        buffer = frames.view(np.uint8).data
+        buffer, size = frames.view(np.uint8).data, frames.itemsize
         n, room, reads_left, errors_left = 0, len(frames), READS_PER_ROOM * len(frames), ERRORS_PER_DRAIN
         now_ns = time.monotonic_ns()
         wall_s = time.time()
@@ -82,29 +90,31 @@ class PythonCanPort:
                 self._emptied_ns = now_ns
                 break
             health.down = False
-            if self._take(message, buffer, n * FRAME.itemsize, wall_s, oldest_ns):
+            record = self._record(message, wall_s, oldest_ns)
+            if record is not None:
+                STRUCTS[size].pack_into(buffer, n * size, *record)
                 n += 1
         health.received += n
         return n
 
-    def _take(self, message: Any, buffer: memoryview, at: int, wall_s: float, oldest_ns: int) -> bool:
-        """Write a received message as a record, unless it is not for us."""
-        can_id, data = message.arbitration_id, bytes(message.data[:DATA_BYTES])
+    def _record(self, message: Any, wall_s: float, oldest_ns: int) -> tuple[int, int, int, int, int, bytes] | None:
+        """The fields of a received message, in their order in a frame; None if it is not for us."""
+        can_id, data = message.arbitration_id, bytes(message.data)
         flags = (
             FLAG_EXTENDED * message.is_extended_id
             | FLAG_REMOTE * message.is_remote_frame
             | FLAG_ERROR * message.is_error_frame
             | FLAG_FD * message.is_fd
+            | FLAG_BRS * message.bitrate_switch
         )
         if flags & FLAG_ERROR:
             self.health.saw_error_frame(can_id)
         elif self._is_echo(can_id, flags, data) or not self._is_wanted(can_id):
-            return False
+            return None
         age_ns = 0
         if self._stamped:
             age_ns = min(max(int((wall_s - message.timestamp) * 1e9), 0), oldest_ns)
-        FRAME_STRUCT.pack_into(buffer, at, can_id, message.dlc, flags, 0, age_ns, data)
-        return True
+        return can_id, message.dlc, flags, 0, age_ns, data
 
     def _is_wanted(self, can_id: int) -> bool:
         return self._receive_ids is None or can_id in self._receive_ids
@@ -115,10 +125,10 @@ class PythonCanPort:
         Somebody else who sends the same bytes uses up the excuse, and our own echo then shows: a second commander
         cannot hide behind ours.
         """
-        if not self._echoes or flags:
+        if not self._echoes:
             return False
         try:
-            self._echoes.remove((can_id, data))
+            self._echoes.remove((can_id, flags, data))
         except ValueError:
             return False
         return True
@@ -128,9 +138,16 @@ class PythonCanPort:
         if self._closed:
             health.saw_send_failure()
             return False
-        message = self._message(arbitration_id=can_id, data=data, is_extended_id=False)
+        flags = self._fd.get(can_id, 0)
+        message = self._message(
+            arbitration_id=can_id,
+            data=data,
+            is_extended_id=False,
+            is_fd=bool(flags & FLAG_FD),
+            bitrate_switch=bool(flags & FLAG_BRS),
+        )
         if self._echoes is not None:
-            self._echoes.append((can_id, bytes(data)))
+            self._echoes.append((can_id, flags, bytes(data)))
         try:
             self._bus.send(message, timeout=0)
         except Exception as error:

@@ -35,7 +35,7 @@ def load_bus_codec(rig: Rig, receive: Sequence[str], transmit: Sequence[str]) ->
 
 def _protections(rig: Rig) -> dict[str, MessageProtection]:
     return {
-        name: MessageProtection(message.period_ns, message.e2e, message.data_ids)
+        name: MessageProtection(message.period_ns, message.e2e, message.all_data_ids)
         for name, message in rig.bus.messages.items()
     }
 

@@ -138,8 +138,10 @@ def rig(
         scenario = () if faults is None else load_scenario(faults)
         check_scenario(scenario, loaded, lockstep=False)
         plan = None if leak_at is None else LeakPlan(leak_at, leak, leak_kind)
-        ids = load_bus_codec(loaded, [command_message(loaded)], sensor_messages(loaded)).receive_ids
-        port = open_port(loaded.bus.interface, loaded.bus.channel, receive_ids=ids, options=loaded.bus.options)
+        codec, bus = load_bus_codec(loaded, [command_message(loaded)], sensor_messages(loaded)), loaded.bus
+        port = open_port(
+            bus.interface, bus.channel, receive_ids=codec.receive_ids, options=bus.options, fd=codec.fd_flags
+        )
         try:
             with BusLock(port.name, "node"):
                 click.echo(f"bus: {port.reason}")

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from servohil.drivers.frame import FRAME_STRUCT
+from servohil.drivers.frame import STRUCTS
 from servohil.hil import assemble
 from servohil.hil.commands import Command
 from servohil.hil.cycle import Cycle
@@ -37,7 +37,7 @@ def dry_run(cycle: Cycle) -> None:
     """
     before, told = cycle.arena.save(), bytes(cycle.snapshot_bytes)
     sensors = PlausibleSensors(cycle)
-    inputs = InputsBuffer()
+    inputs = InputsBuffer(frame=cycle.codec.frame)
     header = inputs.header
     seen = set()
     number = 0
@@ -95,8 +95,8 @@ class PlausibleSensors:
 
     def fill(self, inputs: InputsBuffer) -> int:
         """Put one frame of each message into `inputs`; returns how many."""
-        data = inputs.frames.view(np.uint8).data
+        data, size, fd = inputs.frames.view(np.uint8).data, inputs.frames.itemsize, self._codec.fd_flags
         for k, (index, can_id, values) in enumerate(self._messages):
             frame = self._codec.encode(index, values)
-            FRAME_STRUCT.pack_into(data, k * FRAME_STRUCT.size, can_id, len(frame), 0, 0, 0, frame)
+            STRUCTS[size].pack_into(data, k * size, can_id, len(frame), fd.get(can_id, 0), 0, 0, frame)
         return len(self._messages)

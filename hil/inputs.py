@@ -1,6 +1,7 @@
 """The Inputs of one cycle as bytes: everything the pure cycle is told from outside, as ring and recording carry it.
 
-A fixed header (what the shell measured and which command it hands over) followed by the frames drained in this cycle.
+A fixed header (what the shell measured and which command it hands over) followed by the frames drained in this cycle:
+records of FRAME, or of FD_FRAME where the rig's DBC has CAN FD messages (`Codec.frame`).
 """
 
 from typing import Any, Final, NamedTuple
@@ -8,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.drivers.frame import FRAME
+from servohil.drivers.frame import FD_FRAME, FRAME
 
 # (name, type, meaning). In lockstep `t_ns` is the cycle number times the period, and the three durations are 0.
 HEADER_FIELDS: Final[tuple[tuple[str, str, str], ...]] = (
@@ -18,7 +19,7 @@ HEADER_FIELDS: Final[tuple[tuple[str, str, str], ...]] = (
     ("lateness_ns", "<i8", "wake-up behind the deadline, previous cycle"),
     ("exec_ns", "<i8", "execution time, previous cycle"),
     ("cpu_ns", "<i8", "processor time that the loop's thread used in the previous cycle"),
-    ("n_frames", "<i8", "FRAME records that follow the header"),
+    ("n_frames", "<i8", "frame records that follow the header"),
     ("tx_failed", "<i8", "commands the bus did not take since the start"),
     ("bus_flags", "<i8", "BUS_OFF | BUS_DOWN as the port reported them"),
     ("command_seq", "<i8", "sequence number of the operator command handed over in this cycle, 0 without one"),
@@ -62,7 +63,7 @@ class InputsError(ValueError):
 
 
 class Inputs(NamedTuple):
-    """Read-only views of one cycle's inputs: `header` scalar of INPUTS_HEADER, `frames` (n_frames,) of FRAME."""
+    """Read-only views of one cycle's inputs: `header` scalar of INPUTS_HEADER, `frames` (n_frames,) of either FRAME."""
 
     header: Any
     frames: NDArray[np.void]
@@ -71,16 +72,17 @@ class Inputs(NamedTuple):
 class InputsBuffer:
     """Preallocated inputs of one cycle: the shell fills the views, the ring takes `payload` without a copy.
 
-    `header` is a scalar view of INPUTS_HEADER, `frames` (max_frames,) of FRAME. `integers` (12,) is the same header as
-    int64 in HEADER_FIELDS order, for a loop that counts microseconds.
+    `header` is a scalar view of INPUTS_HEADER, `frames` (max_frames,) of `frame`. `integers` (12,) is the same header
+    as int64 in HEADER_FIELDS order, for a loop that counts microseconds.
     """
 
-    def __init__(self, max_frames: int = 256) -> None:
-        self._bytes = np.zeros(HEADER_BYTES + max_frames * FRAME_BYTES, np.uint8)
+    def __init__(self, max_frames: int = 256, frame: np.dtype[np.void] = FRAME) -> None:
+        self._frame_bytes = frame.itemsize
+        self._bytes = np.zeros(HEADER_BYTES + max_frames * self._frame_bytes, np.uint8)
         head = self._bytes[:HEADER_BYTES]
         self.header: Any = head.view(INPUTS_HEADER)[0]
         self.integers: NDArray[np.int64] = head[:96].view(np.int64)
-        self.frames: NDArray[np.void] = self._bytes[HEADER_BYTES:].view(FRAME)
+        self.frames: NDArray[np.void] = self._bytes[HEADER_BYTES:].view(frame)
         self._view = self._bytes.data
 
     def payload(self, n_frames: int) -> memoryview:
@@ -91,17 +93,22 @@ class InputsBuffer:
         if not 0 <= n_frames <= len(self.frames):
             raise InputsError(f"n_frames = {n_frames}: this buffer holds 0 to {len(self.frames)} frames")
         self.integers[N_FRAMES] = n_frames
-        return self._view[: HEADER_BYTES + n_frames * FRAME_BYTES]
+        return self._view[: HEADER_BYTES + n_frames * self._frame_bytes]
 
 
-def parse(payload: bytes | bytearray | memoryview) -> Inputs:
-    """Views of inputs bytes, without a copy. Raises InputsError if their length does not match `n_frames`."""
+def parse(payload: bytes | bytearray | memoryview, frame: np.dtype[np.void] = FRAME) -> Inputs:
+    """Views of inputs bytes with records of `frame`, without a copy. Raises InputsError if their length does not match
+    `n_frames`."""
     size = len(payload)
     if size < HEADER_BYTES:
         raise InputsError(f"inputs of {size} bytes: a header alone has {HEADER_BYTES}")
     header = np.frombuffer(payload, INPUTS_HEADER, 1)[0]
     n_frames = int(header["n_frames"])
-    expected = HEADER_BYTES + n_frames * FRAME_BYTES
+    expected = HEADER_BYTES + n_frames * frame.itemsize
     if n_frames < 0 or size != expected:
-        raise InputsError(f"inputs of {size} bytes: n_frames = {n_frames} asks for {expected}")
-    return Inputs(header, np.frombuffer(payload, FRAME, n_frames, HEADER_BYTES))
+        other = FD_FRAME if frame == FRAME else FRAME
+        told = ""
+        if n_frames > 0 and size == HEADER_BYTES + n_frames * other.itemsize:
+            told = f"; they are frames of {other.itemsize} bytes, the rig's DBC asks for {frame.itemsize}"
+        raise InputsError(f"inputs of {size} bytes: n_frames = {n_frames} asks for {expected}{told}")
+    return Inputs(header, np.frombuffer(payload, frame, n_frames, HEADER_BYTES))

@@ -10,7 +10,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.drivers.frame import FRAME
 from servohil.drivers.in_process import in_process_bus
 from servohil.hil.cycle import Cycle
 from servohil.hil.inputs import InputsBuffer
@@ -32,10 +31,10 @@ def run_lockstep(cycle: Cycle, node: Actuator, script: OperatorScript, sink: Sin
     """Run until the script is finished; `sink(snapshot, inputs)` gets the bytes of every cycle. Returns the cycle
     count.
     """
-    ours, theirs, bus = in_process_bus(cycle.codec.receive_ids, (cycle.command_id,))
-    inputs = InputsBuffer()
+    ours, theirs, bus = in_process_bus(cycle.codec.receive_ids, (cycle.command_id,), cycle.codec.fd_flags)
+    inputs = InputsBuffer(frame=cycle.codec.frame)
     header, frames = inputs.header, inputs.frames
-    node_frames = np.zeros(len(frames), dtype=FRAME)
+    node_frames = np.zeros(len(frames), dtype=frames.dtype)
     snapshot = cycle.snapshot
     number = 0
     while not script.finished:

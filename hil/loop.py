@@ -77,7 +77,7 @@ class RealtimeLoop:
         self._send = send
         self._alive = telemetry_alive
         self._lock = lock
-        self._inputs = InputsBuffer()
+        self._inputs = InputsBuffer(frame=cycle.codec.frame)
 
     def run(self) -> LoopResult:
         """Run until the script is finished. The last frames on the bus carry command zero, whatever happens."""

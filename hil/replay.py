@@ -32,7 +32,7 @@ def replay_cycles(cycle: Cycle, records: Iterable[tuple[bytes, bytes]], result: 
     `result`.
     """
     for snapshot, payload in records:
-        inputs = parse(payload)
+        inputs = parse(payload, cycle.codec.frame)
         cycle.step(inputs.header, inputs.frames)
         result.cycles += 1
         if cycle.snapshot_bytes != snapshot:

@@ -73,12 +73,18 @@ class TelemetryCounts(NamedTuple):
     recorded: int
 
 
-def capacity_for(seconds: float = 2.0, rate_hz: float = 1000.0, frames: int = 24, checkpoint_bytes: int = 65536) -> int:
-    """Data bytes that hold `seconds` of cycles with `frames` frames each, and two checkpoints.
+def capacity_for(
+    seconds: float = 2.0,
+    rate_hz: float = 1000.0,
+    frames: int = 24,
+    checkpoint_bytes: int = 65536,
+    frame_bytes: int = FRAME_BYTES,
+) -> int:
+    """Data bytes that hold `seconds` of cycles with `frames` frames of `frame_bytes` each, and two checkpoints.
 
     24 frames per millisecond are more than a 1 Mbit/s bus can carry (an empty frame has 47 bits: 21 of them).
     """
-    record = HEADER + SNAPSHOT.itemsize + HEADER_BYTES + FRAME_BYTES * frames + ALIGN
+    record = HEADER + SNAPSHOT.itemsize + HEADER_BYTES + frame_bytes * frames + ALIGN
     return -(-int(seconds * rate_hz * record + 2 * (checkpoint_bytes + ALIGN + HEADER)) // PAGE) * PAGE
 
 

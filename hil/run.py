@@ -12,7 +12,6 @@ from typing import Any, Final
 import numpy as np
 
 from servohil.drivers.bus_lock import BusLock
-from servohil.drivers.frame import FRAME
 from servohil.drivers.open_port import open_port
 from servohil.drivers.port import Port
 from servohil.hil.config import Rig
@@ -93,7 +92,10 @@ def run_controller(rig: Rig, options: RunOptions, say: Say) -> RunSummary:
         say("compiling (the first start takes about a minute, later ones come from the cache)")
         cycle = Cycle(rig, listen_only=options.listen_only)
         dry_run(cycle)
-        port = open_port(rig.bus.interface, rig.bus.channel, receive_ids=bus_ids(cycle), options=rig.bus.options)
+        codec = cycle.codec
+        port = open_port(
+            rig.bus.interface, rig.bus.channel, receive_ids=bus_ids(cycle), options=rig.bus.options, fd=codec.fd_flags
+        )
         stack.callback(port.close)
         say(f"bus: {port.reason}")
         if not options.listen_only:
@@ -101,7 +103,10 @@ def run_controller(rig: Rig, options: RunOptions, say: Say) -> RunSummary:
         enable = options.enable and not options.listen_only
         script = OperatorScript(rig.loop.rate_hz, options.duration_s, enable, options.stop_on_fault)
         _stop_on_signals(script)
-        ring = RingWriter(capacity_for(RING_S, rig.loop.rate_hz, checkpoint_bytes=len(cycle.arena.save())))
+        checkpoint = len(cycle.arena.save())
+        ring = RingWriter(
+            capacity_for(RING_S, rig.loop.rate_hz, checkpoint_bytes=checkpoint, frame_bytes=codec.frame.itemsize)
+        )
         stack.callback(ring.close)
         child = TelemetryChild(
             telemetry_setup(cycle, ring, options.folder, options.wait_for_subscriber_s), ring, options.folder
@@ -115,7 +120,7 @@ def run_controller(rig: Rig, options: RunOptions, say: Say) -> RunSummary:
         pacer = Pacer(rig.loop.period_ns, rig.loop.phase, round(rig.loop.spin_s * NS_PER_S))
         lock = phase_lock(rig, cycle)
         loop = RealtimeLoop(cycle, port, ring, pacer, script, not options.listen_only, child.alive, lock)
-        discard_old_frames(port)
+        discard_old_frames(port, codec.frame)
         result = loop.run()
         telemetry = child.finish(final_words(result))
         summary = RunSummary(result, telemetry, steps, port.name, port.interface, endpoint)
@@ -136,9 +141,9 @@ def phase_lock(rig: Rig, cycle: Cycle) -> PhaseLock | None:
     return PhaseLock(rig.loop.period_ns, rig.loop.sync_delay_ns, can_id)
 
 
-def discard_old_frames(port: Port) -> None:
+def discard_old_frames(port: Port, frame: np.dtype[np.void]) -> None:
     """Empty the port: what waited there while we compiled is older than any limit."""
-    frames = np.zeros(256, dtype=FRAME)
+    frames = np.zeros(256, dtype=frame)
     while port.drain(frames) == len(frames):
         pass
 

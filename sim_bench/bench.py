@@ -217,7 +217,8 @@ def _lockstep(rig: Rig, options: BenchOptions, say: Say, show: Show) -> BenchLog
     log = TruthLog(int((options.duration_s + 5.0) * rig.loop.rate_hz))
     node = ActuatorNode(rig, options.leak, log)
     script = OperatorScript(rig.loop.rate_hz, options.duration_s, enable=True, stop_on_fault=True)
-    ring = RingWriter(capacity_for(RING_S, rig.loop.rate_hz, checkpoint_bytes=len(cycle.arena.save())))
+    checkpoint, frame_bytes = len(cycle.arena.save()), cycle.codec.frame.itemsize
+    ring = RingWriter(capacity_for(RING_S, rig.loop.rate_hz, checkpoint_bytes=checkpoint, frame_bytes=frame_bytes))
     child = TelemetryChild(telemetry_setup(cycle, ring, options.folder, SUBSCRIBER_WAIT_S), ring, options.folder)
     watch = watch_ring(options.folder, child.alive)
     probe = connect_probe(watch.endpoint, rig.name, child.alive) if watch else None

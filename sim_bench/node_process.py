@@ -10,7 +10,6 @@ from typing import Final
 
 import numpy as np
 
-from servohil.drivers.frame import FRAME
 from servohil.drivers.port import Port
 from servohil.hil.config import Rig
 from servohil.hil.pacer import Pacer
@@ -41,7 +40,7 @@ class Stop:
 def warm_up(rig: Rig) -> None:
     """Compile everything the node runs, on a node of its own."""
     node = ActuatorNode(rig, LeakPlan(0.0, 1e-12, "internal"), TruthLog(DRY_STEPS))
-    frames = np.zeros(MAX_FRAMES, dtype=FRAME)
+    frames = np.zeros(MAX_FRAMES, dtype=node.codec.frame)
     for k in range(DRY_STEPS):
         node.step(frames, 0, k * node.period_ns, 1)
 
@@ -65,7 +64,7 @@ def run_node(
     log = TruthLog(max(1, int((log_s + LOG_MARGIN_S) * rig.loop.rate_hz)) if truth_path else 1)
     node = ActuatorNode(rig, leak, log)
     faults = NodeFaults(node, rig, scenario)
-    frames = np.zeros(MAX_FRAMES, dtype=FRAME)
+    frames = np.zeros(MAX_FRAMES, dtype=node.codec.frame)
     pacer = Pacer(rig.loop.period_ns, NODE_PHASE)
     make_realtime(rig.loop.priority)
     pacer.start()

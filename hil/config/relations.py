@@ -32,19 +32,26 @@ def _dbc_to_read(folder: Path, bus: Bus) -> Iterator[Problem]:
 
 
 def _data_ids(folder: Path, bus: Bus) -> Iterator[Problem]:
-    owner: dict[tuple[int, ...], str] = {}
+    owner: dict[tuple[str, tuple[int, ...]], str] = {}
     for name, message in bus.messages.items():
-        key = ("bus", "messages", name, "data_ids")
-        if message.e2e == "none":
-            if message.data_ids:
-                yield Problem(key, 'e2e = "none" has no data ids; remove the key')
-        elif len(message.data_ids) != DATA_IDS:
-            yield Problem(key, f"{len(message.data_ids)} values; allowed: exactly {DATA_IDS} values of 0..255")
-        elif message.data_ids in owner:
-            # Equal lists would let one message pass for the other.
-            yield Problem(key, f"same list as {owner[message.data_ids]}; allowed: a list of its own")
+        e2e, ids = message.e2e, message.all_data_ids
+        several, one = ("bus", "messages", name, "data_ids"), ("bus", "messages", name, "data_id")
+        if e2e != "profile2" and message.data_ids:
+            has = "one data_id instead" if e2e == "profile5" else "no data ids"
+            yield Problem(several, f'e2e = "{e2e}" has {has}; remove the key')
+        if e2e != "profile5" and message.data_id is not None:
+            has = f"{DATA_IDS} data_ids instead" if e2e == "profile2" else "no data id"
+            yield Problem(one, f'e2e = "{e2e}" has {has}; remove the key')
+        if e2e == "profile2" and len(message.data_ids) != DATA_IDS:
+            yield Problem(several, f"{len(message.data_ids)} values; allowed: exactly {DATA_IDS} values of 0..255")
+        elif e2e == "profile5" and message.data_id is None:
+            yield Problem(one, "missing; allowed: a whole number of 0..65535")
+        elif e2e != "none" and (e2e, ids) in owner:
+            # Equal ones would let one message pass for the other.
+            key, what = (several, "list") if e2e == "profile2" else (one, "number")
+            yield Problem(key, f"same {what} as {owner[e2e, ids]}; allowed: a {what} of its own")
         else:
-            owner[message.data_ids] = name
+            owner[e2e, ids] = name
 
 
 def _signals_have_messages(folder: Path, signals: Signals, bus: Bus) -> Iterator[Problem]:

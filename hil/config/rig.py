@@ -51,13 +51,19 @@ class Message(Section):
     """[bus.messages.NAME]: period and end-to-end protection of one message of the DBC."""
 
     period_s: Positive
-    e2e: Literal["profile2", "none"]
+    e2e: Literal["profile2", "profile5", "none"]
     data_ids: tuple[Annotated[int, Field(ge=0, le=255)], ...] = ()  # 16 with profile2, none without
+    data_id: Annotated[int, Field(ge=0, le=0xFFFF)] | None = None  # with profile5
 
     @field_validator("data_ids", mode="before")
     @classmethod
     def _array(cls, value: object) -> object:
         return tuple(value) if isinstance(value, list) else value
+
+    @property
+    def all_data_ids(self) -> tuple[int, ...]:
+        """What the profile takes into the CRC: 16 bytes, one 16-bit number, or nothing."""
+        return self.data_ids if self.data_id is None else (self.data_id,)
 
     @property
     def period_ns(self) -> int:

@@ -44,7 +44,8 @@ message StateBatch {
 // Recording, channel `inputs`: what the cycle of the same log_time was told from outside.
 message CycleInputs {
   // Little endian: the int64 and float64 words of hil/inputs.py, HEADER_FIELDS, then n_frames CAN frames of 24 bytes:
-  // uint32 id, uint8 dlc, uint8 flags (1 extended, 2 remote, 4 error, 8 FD), uint16 0, int64 age_ns, 8 data bytes.
+  // uint32 id, uint8 dlc, uint8 flags (1 extended, 2 remote, 4 error, 8 FD, 16 bit rate switch), uint16 0, int64
+  // age_ns, 8 data bytes; all of 80 bytes, with 64 data bytes, where the rig's DBC has a CAN FD message.
   bytes payload = 1;
 }
 

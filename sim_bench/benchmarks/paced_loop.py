@@ -69,14 +69,15 @@ def run_loop(rig: Rig, cycles: int, pacer: Pacer | None, tick: Callable[[int], N
     spent: dict[str, list[int]] = {stage: [] for stage in (*SHELL, "gate", *PARTS, "whole")}
     late, cpu = [], []
     with ExitStack() as stack:
-        ours = open_port("servohil", channel, receive_ids=cycle.codec.receive_ids)
-        theirs = open_port("servohil", channel, receive_ids=())
+        fd = cycle.codec.fd_flags
+        ours = open_port("servohil", channel, receive_ids=cycle.codec.receive_ids, fd=fd)
+        theirs = open_port("servohil", channel, receive_ids=(), fd=fd)
         ring = RingWriter()
         reader = RingReader(ring.file.path)
         for closable in (ours, theirs, ring, reader):
             stack.callback(closable.close)
         _time_parts(cycle, spent, stack)
-        inputs = InputsBuffer()
+        inputs = InputsBuffer(frame=cycle.codec.frame)
         if pacer is not None:
             make_realtime(PRIORITY)
             pacer.start()
@@ -84,7 +85,8 @@ def run_loop(rig: Rig, cycles: int, pacer: Pacer | None, tick: Callable[[int], N
         for number in range(cycles):
             n = sensors.fill(inputs)
             for k in range(n):
-                theirs.send(int(inputs.frames["id"][k]), inputs.frames["data"][k].tobytes())
+                sent = inputs.frames[k]
+                theirs.send(int(sent["id"]), sent["data"][: sent["dlc"]].tobytes())
             inputs.header["cycle"], inputs.header["t_ns"] = number, number * cycle.period_ns
             inputs.header["command_code"] = Command.ENABLE if number == ENABLE_AT else Command.NONE
             if pacer is not None:

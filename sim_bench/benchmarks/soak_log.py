@@ -111,7 +111,7 @@ def _items(recording: Path) -> Iterator[object]:
 
 
 def _replay(recorded: RecordedCycle, cycle: Cycle, took_ns: int, led: bool, log: SoakLog) -> None:
-    inputs = parse(recorded.inputs)
+    inputs = parse(recorded.inputs, cycle.codec.frame)
     is_long = took_ns > cycle.period_ns
     log.long += is_long
     if not led:

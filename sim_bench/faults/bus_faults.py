@@ -61,7 +61,7 @@ class Strangers:
                 values = np.zeros(len(slots))
                 values[slots.index(codec.slot(self._signals.command))] = commander.command_v
                 values[slots.index(codec.slot(self._signals.control_word))] = control_word(DeviceState.ACTIVE)
-                out.append(Wire.of(self._command_id, codec.encode(0, values)))
+                out.append(Wire.of(self._command_id, codec.encode(0, values), codec.fd_flags.get(self._command_id, 0)))
         return out
 
 

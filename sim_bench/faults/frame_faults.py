@@ -6,10 +6,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from servohil.drivers.bits import word_shift
+from servohil.drivers.bits import place, put
 from servohil.drivers.codec import Codec
 from servohil.drivers.dbc import MessageTable, SignalTable
-from servohil.drivers.e2e import COUNTER_MODULUS, PROFILE2, p02_protect
+from servohil.drivers.e2e import COUNTER_MODULUS, P05_COUNTER_MODULUS, PROFILE2, PROFILE5, p02_protect, p05_protect
 from servohil.drivers.frame import DATA_BYTES, FLAG_EXTENDED, FLAG_FD, FLAG_REMOTE
 from servohil.hil.assemble import command_message, load_bus_codec, sensor_messages
 from servohil.hil.config import Rig
@@ -32,9 +32,10 @@ from servohil.sim_bench.faults.kinds import (
 )
 from servohil.sim_bench.faults.scenario import messages_of, sensor_message
 
-FLAGS: Final = {"extended": FLAG_EXTENDED, "remote": FLAG_REMOTE, "fd": FLAG_FD}
+FLAGS: Final = {"extended": FLAG_EXTENDED, "remote": FLAG_REMOTE}
 STALE_FRAMES: Final = 8  # of each message that a restarted sender still has
 CRC_BITS: Final = 0x5A
+MODULI: Final = {PROFILE2: COUNTER_MODULUS, PROFILE5: P05_COUNTER_MODULUS}
 
 
 class Wire(NamedTuple):
@@ -43,12 +44,12 @@ class Wire(NamedTuple):
     can_id: int
     length: int
     flags: int
-    data: bytes  # 8 of them, whatever the length
+    data: bytes  # at least 8 of them, whatever the length
 
     @classmethod
-    def of(cls, can_id: int, data: bytes) -> "Wire":
-        """A classic data frame as a port takes it."""
-        return cls(can_id, len(data), 0, data.ljust(DATA_BYTES, b"\0"))
+    def of(cls, can_id: int, data: bytes, flags: int = 0) -> "Wire":
+        """A data frame as a port takes it; classic without flags."""
+        return cls(can_id, len(data), flags, data.ljust(DATA_BYTES, b"\0"))
 
 
 class FrameFaults:
@@ -122,7 +123,7 @@ class _Track:
 
     def _untouched(self, wire: Wire, cycle: int) -> list[Wire]:
         """Outside the window: remember what the fault will need."""
-        self._counter[wire.can_id] = wire.data[1] & 0x0F
+        self._counter[wire.can_id] = counter_of(wire, self._tables[wire.can_id])
         old = self._old[wire.can_id]
         if isinstance(self._fault, FramesStale):
             if cycle < self._first:
@@ -133,7 +134,7 @@ class _Track:
 
     def _changed(self, wire: Wire, table: MessageTable, cycle: int) -> list[Wire]:
         fault, age = self._fault, cycle - self._first
-        counter = wire.data[1] & 0x0F
+        counter, modulus = counter_of(wire, table), MODULI.get(table.protection.e2e, 1)
         match fault:
             case FramesDropped():
                 return [] if age % fault.every == 0 else [wire]
@@ -149,13 +150,15 @@ class _Track:
             case WrongLength():
                 return [wire._replace(length=fault.length)]
             case WrongType():
-                return [wire._replace(flags=FLAGS[fault.type])]
+                # "fd": of the other format than the message's.
+                other = 0 if wire.flags & FLAG_FD else FLAG_FD
+                return [wire._replace(flags=FLAGS.get(fault.type, other))]
             case CounterFreeze():
                 return [protected(wire, table, self._counter[wire.can_id])]
             case CounterJump():
-                return [protected(wire, table, (counter + fault.by) % COUNTER_MODULUS)]
+                return [protected(wire, table, (counter + fault.by) % modulus)]
             case CounterRepeat():
-                return [protected(wire, table, (counter - (age + 1) % 2) % COUNTER_MODULUS)]
+                return [protected(wire, table, (counter - (age + 1) % 2) % modulus)]
             case Masquerade():
                 assert self._other is not None
                 return [protected(wire, self._other, counter)]
@@ -164,21 +167,27 @@ class _Track:
                 return [with_raw(wire, table, self._signal, _raw(fault, self._signal))]
 
 
+def counter_of(wire: Wire, table: MessageTable) -> int:
+    """The counter that the frame carries as a message of `table`; 0 without protection."""
+    return {PROFILE2: wire.data[1] & 0x0F, PROFILE5: wire.data[2]}.get(table.protection.e2e, 0)
+
+
 def protected(wire: Wire, table: MessageTable, counter: int) -> Wire:
     """The frame with this counter and the CRC that a message of `table` has with it."""
     data = np.frombuffer(wire.data, dtype=np.uint8).copy()
-    p02_protect(data, wire.length, counter, np.array(table.protection.data_ids, dtype=np.int64))
+    data_ids = np.array(table.protection.data_ids, dtype=np.int64)
+    if table.protection.e2e == PROFILE2:
+        p02_protect(data, wire.length, counter % COUNTER_MODULUS, data_ids)
+    elif table.protection.e2e == PROFILE5:
+        p05_protect(data, wire.length, counter, int(data_ids[0]))
     return wire._replace(data=data.tobytes())
 
 
 def with_raw(wire: Wire, table: MessageTable, signal: SignalTable, raw: int) -> Wire:
     """The frame with other bits in one signal, and the CRC that belongs to them."""
-    order = "big" if signal.big_endian else "little"
-    mask = (1 << signal.length) - 1
-    shift = word_shift(signal.start, signal.length, signal.big_endian)
-    word = int.from_bytes(wire.data, order) & ~(mask << shift)  # type: ignore[arg-type]
-    changed = wire._replace(data=(word | (raw & mask) << shift).to_bytes(DATA_BYTES, order))  # type: ignore[arg-type]
-    return protected(changed, table, wire.data[1] & 0x0F) if table.protection.e2e == PROFILE2 else changed
+    data = np.frombuffer(wire.data, dtype=np.uint8).copy()
+    put(data, place(signal.start, signal.length, signal.signed, signal.big_endian), raw)
+    return protected(wire._replace(data=data.tobytes()), table, counter_of(wire, table))
 
 
 def _raw(fault: Fault, signal: SignalTable) -> int:

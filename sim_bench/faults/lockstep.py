@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.drivers.frame import FRAME, FRAME_STRUCT
+from servohil.drivers.frame import STRUCTS
 from servohil.hil.commands import Command
 from servohil.hil.cycle import Cycle
 from servohil.hil.inputs import InputsBuffer
@@ -44,9 +44,9 @@ def run_with_faults(cycle: Cycle, node: ActuatorNode, scenario: Sequence[Fault],
     to_node = FrameFaults(rig, scenario, to_node=True)
     late = [(f, *f.window(period_ns * 1e-9)) for f in scenario if isinstance(f, LateCycles)]
     operator = FaultyOperator(cycle, scenario)
-    inputs = InputsBuffer()
+    inputs = InputsBuffer(frame=cycle.codec.frame)
     header, frames, snapshot = inputs.header, inputs.frames, cycle.snapshot
-    node_frames = np.zeros(len(frames), dtype=FRAME)
+    node_frames = np.zeros(len(frames), dtype=frames.dtype)
     waiting: deque[tuple[int, Wire]] = deque()  # with when they came
     commands: deque[tuple[int, Wire]] = deque()
     number = executed = 0
@@ -69,7 +69,8 @@ def run_with_faults(cycle: Cycle, node: ActuatorNode, scenario: Sequence[Fault],
         operator.begin(since_active)
         operator.speak(header, script.next(int(snapshot["state"]), int(snapshot["active_t_ns"])))
         payload = inputs.payload(n)
-        command = Wire.of(cycle.command_id, cycle.step(header, frames))
+        flags = cycle.codec.fd_flags.get(cycle.command_id, 0)
+        command = Wire.of(cycle.command_id, cycle.step(header, frames), flags)
         others = [wire for wire in sent if wire.can_id == cycle.command_id]
         leaving = [*others, *([command] if reports.sent() else [])]
         commands += [(t_ns + period_ns, wire) for wire in to_node.pass_on(leaving, since_active)]
@@ -82,12 +83,11 @@ def run_with_faults(cycle: Cycle, node: ActuatorNode, scenario: Sequence[Fault],
 def _fill(frames: NDArray[Any], wires: deque[tuple[int, Wire]], now_ns: int) -> int:
     """Put what fits into `frames`, with its age, and take it off `wires`; returns how many."""
     n = min(len(wires), len(frames))
-    data = frames.view(np.uint8).data
+    data, size = frames.view(np.uint8).data, frames.itemsize
     for k in range(n):
         came_ns, wire = wires.popleft()
         age_ns = max(0, now_ns - came_ns)
-        at = k * FRAME_STRUCT.size
-        FRAME_STRUCT.pack_into(data, at, wire.can_id, wire.length, wire.flags, 0, age_ns, wire.data)
+        STRUCTS[size].pack_into(data, k * size, wire.can_id, wire.length, wire.flags, 0, age_ns, wire.data)
     return n
 
 

@@ -17,6 +17,7 @@ class NodeFaults:
         self._damage = NodeDamage(node, rig, scenario)
         self._frames = FrameFaults(rig, scenario, to_node=False)
         self._strangers = Strangers(rig, scenario)
+        self._fd = node.codec.fd_flags
         self._cycle = -1
         node.damage = self._damage
 
@@ -27,5 +28,6 @@ class NodeFaults:
 
     def frames(self, sent: Sequence[tuple[int, bytes]]) -> list[Wire]:
         """What is on the bus of what the node sent; strangers first, whose identifiers win."""
-        wires = self._frames.pass_on([Wire.of(can_id, data) for can_id, data in sent], self._cycle)
+        wires = [Wire.of(can_id, data, self._fd.get(can_id, 0)) for can_id, data in sent]
+        wires = self._frames.pass_on(wires, self._cycle)
         return [*self._strangers.frames(self._cycle), *wires]

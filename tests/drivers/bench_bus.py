@@ -6,9 +6,10 @@ import numpy as np
 
 from servohil.drivers.codec import Codec, MessageProtection, load_codec
 from servohil.drivers.e2e import data_ids
-from servohil.drivers.frame import FRAME, FRAME_STRUCT
+from servohil.drivers.frame import FRAME, STRUCTS
 
 BENCH_DBC = Path(__file__).parents[2] / "rigs" / "bench.dbc"
+FD_DBC = BENCH_DBC.with_name("bench-fd.dbc")
 SENSOR_MESSAGES = ("Position", "PressureAB", "PressureSupplyTank", "ValveStatus")
 COMMAND = "ValveCommand"
 POSITION_ID = 0x121
@@ -16,6 +17,10 @@ PRESSURE_ID = 0x122
 PROTECTIONS = {
     name: MessageProtection(1_000_000, "profile2", data_ids(17 + k))
     for k, name in enumerate((*SENSOR_MESSAGES, COMMAND))
+}
+
+FD_PROTECTIONS = {
+    name: MessageProtection(1_000_000, "profile5", (0x5E01 + k,)) for k, name in enumerate(("Actuator", COMMAND))
 }
 
 
@@ -27,12 +32,19 @@ def node_codec() -> Codec:
     return load_codec(BENCH_DBC, PROTECTIONS, [COMMAND], SENSOR_MESSAGES)
 
 
-def frames_of(*records: tuple[int, bytes], flags: int = 0, age_ns: int = 0, dlc: int | None = None) -> np.ndarray:
+def frames_of(
+    *records: tuple[int, bytes],
+    flags: int = 0,
+    age_ns: int = 0,
+    dlc: int | None = None,
+    frame: np.dtype = FRAME,
+) -> np.ndarray:
     """A drained batch: (id, data) each."""
-    frames = np.zeros(len(records), dtype=FRAME)
+    frames = np.zeros(len(records), dtype=frame)
+    pack_into, size = STRUCTS[frame.itemsize].pack_into, frame.itemsize
     for k, (can_id, data) in enumerate(records):
         length = len(data) if dlc is None else dlc
-        FRAME_STRUCT.pack_into(frames.view(np.uint8).data, k * FRAME.itemsize, can_id, length, flags, 0, age_ns, data)
+        pack_into(frames.view(np.uint8).data, k * size, can_id, length, flags, 0, age_ns, data)
     return frames
 
 
@@ -43,8 +55,8 @@ def sensors(node: Codec, position_m: float = 0.1, pressure_pa: float = 1e7) -> l
     ]
 
 
-def give(codec: Codec, *records: tuple[int, bytes], now_ns: int = 0, **frame: int) -> int:
-    return codec.receive(frames_of(*records, **frame), len(records), now_ns)
+def give(codec: Codec, *records: tuple[int, bytes], now_ns: int = 0, **fields: int) -> int:
+    return codec.receive(frames_of(*records, frame=codec.frame, **fields), len(records), now_ns)
 
 
 def running() -> tuple[Codec, Codec]:

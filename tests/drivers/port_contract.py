@@ -4,37 +4,53 @@ Waiting means polling a condition with a generous deadline: the machine may be t
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import pytest
 
-from servohil.drivers.frame import FRAME
-from servohil.drivers.port import Port
+from servohil.drivers.frame import FD_FRAME, FD_LENGTHS, FLAG_BRS, FLAG_FD, FRAME
+from servohil.drivers.port import CLASSIC, Port
 
 DEADLINE_S = 60.0
 SENTINEL = 0x7F0
+FAST, SLOW = 0x300, 0x301
+FD = {FAST: FLAG_FD | FLAG_BRS, SLOW: FLAG_FD}
 Record = tuple[int, bytes]
+
+
+class Open(Protocol):
+    """Two ports on one fresh bus, by what each receives; `fd`: as of `open_port`."""
+
+    def __call__(
+        self, first: set[int] | None, second: set[int] | None, fd: Mapping[int, int] = CLASSIC
+    ) -> tuple[Port, Port]: ...
 
 
 @dataclass
 class Wire:
     """How to get two ports on one fresh bus. `tick` lets what was sent arrive, where that needs a push."""
 
-    open: Callable[[set[int] | None, set[int] | None], tuple[Port, Port]]
+    open: Open
     tick: Callable[[], None] = lambda: None
 
     def take(self, port: Port, count: int, room: int = 256) -> list[Record]:
         """Drain until `count` frames are here."""
-        frames = np.zeros(room, dtype=FRAME)
-        records: list[Record] = []
+        frames = self.take_frames(port, count, room, FRAME)
+        return [(int(f["id"]), f["data"][: f["dlc"]].tobytes()) for f in frames]
+
+    def take_frames(self, port: Port, count: int, room: int, dtype: np.dtype) -> np.ndarray:
+        """The same, as they are drained. Records are not cleaned in between: a port writes all of each."""
+        frames = np.frombuffer(bytearray(b"\xee" * room * dtype.itemsize), dtype)
+        records = np.zeros(0, dtype=dtype)
         deadline = time.monotonic() + DEADLINE_S
         while len(records) < count:
             self.tick()
             n = port.drain(frames)
             assert n <= room
-            records += [(int(f["id"]), f["data"][: f["dlc"]].tobytes()) for f in frames[:n]]
+            records = np.concatenate([records, frames[:n]])
             assert time.monotonic() < deadline, f"{len(records)} of {count} frames after {DEADLINE_S} s"
         return records
 
@@ -138,3 +154,47 @@ class PortContract:
         assert ends[0].name.startswith(f"{ends[0].interface}:")
         assert len(ends[0].reason) > 20
         assert "\n" not in ends[0].reason
+
+    @pytest.fixture
+    def fd_ends(self, wire: Wire) -> Iterator[tuple[Port, Port]]:
+        ends = wire.open(None, None, FD)
+        yield ends
+        for end in ends:
+            end.close()
+
+    def test_fd_frames_arrive_whole_and_in_order_among_classic_ones(
+        self, wire: Wire, fd_ends: tuple[Port, Port]
+    ) -> None:
+        records = [(FAST, bytes(range(k, k + k))) for k in FD_LENGTHS]
+        records += [(SLOW, b"\xff" * 64), (0x100, b"\xff" * 8), (SLOW, b""), (FAST, b"\x01" * 12), (0x100, b"\x02")]
+        self.send_all(fd_ends[0], records)
+        frames = wire.take_frames(fd_ends[1], len(records), 9, FD_FRAME)
+        for frame, (can_id, data) in zip(frames, records, strict=True):
+            assert (frame["id"], frame["flags"]) == (can_id, FD.get(can_id, 0))
+            assert (frame["dlc"], frame["data"].tobytes()) == (len(data), data.ljust(64, b"\0"))
+            assert (frame["reserved"], frame["age_ns"] >= 0) == (0, True)
+
+    def test_own_fd_frames_do_not_come_back(self, wire: Wire, fd_ends: tuple[Port, Port]) -> None:
+        for k in range(30):
+            self.send_all(fd_ends[0], [(FAST, bytes([k // 10]) * 64)])
+        assert len(wire.take(fd_ends[1], 30)) == 30
+        self.send_all(fd_ends[1], [(SENTINEL, b"")])
+        assert wire.take(fd_ends[0], 1) == [(SENTINEL, b"")]
+
+    def test_records_for_classic_frames_keep_what_they_have_room_for(
+        self, wire: Wire, fd_ends: tuple[Port, Port]
+    ) -> None:
+        """`dlc` tells that there was more: nobody takes the rest for zeros."""
+        self.send_all(fd_ends[0], [(FAST, bytes(range(64))), (0x100, b"\x05" * 8)])
+        frames = wire.take_frames(fd_ends[1], 2, 8, FRAME)
+        assert frames["dlc"].tolist() == [64, 8]
+        assert frames["flags"].tolist() == [FLAG_FD | FLAG_BRS, 0]
+        assert frames["data"].tolist() == [list(range(8)), [5] * 8]
+
+    def test_only_the_fd_ids_asked_for_arrive(self, wire: Wire) -> None:
+        sender, receiver = wire.open(None, {FAST, SENTINEL}, FD)
+        self.send_all(sender, [(SLOW, bytes(64)), (FAST, bytes(64)), (0x100, bytes(8)), (SENTINEL, b"")])
+        assert wire.take_frames(receiver, 2, 8, FD_FRAME)["id"].tolist() == [FAST, SENTINEL]
+        assert receiver.health.received == 2
+        sender.close()
+        receiver.close()

@@ -7,15 +7,25 @@ from typing import Any
 import pytest
 
 from servohil.drivers import can_network
+from servohil.drivers.frame import FLAG_BRS, FLAG_FD
 from servohil.drivers.open_port import open_port
 from servohil.drivers.port import BadBusOption, BusUnavailable, UnknownInterface
 
 GROUP = "239.74.163.2"
 
 
-def kernel_with(monkeypatch: pytest.MonkeyPatch, hardware: int = can_network.ARPHRD_CAN, flags: int = 1) -> None:
+FD = {0x120: FLAG_FD | FLAG_BRS}
+
+
+def kernel_with(
+    monkeypatch: pytest.MonkeyPatch, hardware: int = can_network.ARPHRD_CAN, flags: int = 1, mtu: int = 16
+) -> None:
     """A kernel with SocketCAN and one interface, whatever its name."""
-    answers = {can_network.SIOCGIFFLAGS: flags, can_network.SIOCGIFHWADDR: hardware}
+    answers = {
+        can_network.SIOCGIFFLAGS: flags,
+        can_network.SIOCGIFHWADDR: hardware,
+        can_network.SIOCGIFMTU: mtu,
+    }
     monkeypatch.setattr(can_network, "kernel_has_socketcan", lambda: True)
     monkeypatch.setattr(can_network, "_interface_request", lambda channel, request: answers[request])
 
@@ -73,6 +83,67 @@ def test_socketcan_without_kernel_support(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(can_network, "kernel_has_socketcan", lambda: False)
     with pytest.raises(BusUnavailable, match='"vcan0": this kernel has no SocketCAN'):
         open_port("socketcan", "vcan0")
+
+
+@pytest.mark.parametrize(
+    ("channel", "command"),
+    [
+        ("vcan0", "sudo ip link set vcan0 down && sudo ip link set vcan0 mtu 72 up"),
+        (
+            "can1",
+            "sudo ip link set can1 down && sudo ip link set can1 up type can bitrate 1000000 dbitrate 5000000 fd on",
+        ),
+    ],
+)
+def test_socketcan_that_is_up_for_classic_frames_only(
+    monkeypatch: pytest.MonkeyPatch, channel: str, command: str
+) -> None:
+    kernel_with(monkeypatch, mtu=16)
+    assert can_network.socketcan_obstacle(channel) is None
+    with pytest.raises(BusUnavailable, match="classic frames only") as caught:
+        open_port("socketcan", channel, fd=FD)
+    assert str(caught.value).endswith(command)
+    port = open_port("auto", channel, fd=FD)
+    assert port.interface == "servohil"
+    assert command in port.reason
+    port.close()
+    kernel_with(monkeypatch, mtu=72)
+    assert can_network.socketcan_obstacle(channel, fd=True) is None
+
+
+def test_the_command_for_a_missing_interface_sets_it_up_for_fd(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(can_network, "kernel_has_socketcan", lambda: True)
+    with pytest.raises(BusUnavailable, match="up type can bitrate 1000000 dbitrate 5000000 fd on restart-ms 1000"):
+        open_port("socketcan", "can77", fd=FD)
+
+
+@pytest.mark.parametrize(("fd", "options"), [({}, {"k": 1}), (FD, {"k": 1, "fd": True})])
+def test_fd_is_passed_on_to_python_can(monkeypatch: pytest.MonkeyPatch, fd: dict[int, int], options: dict) -> None:
+    import can
+
+    given: dict[str, Any] = {}
+
+    class Bus:
+        protocol = can.CanProtocol.CAN_FD
+
+        def __init__(self, **arguments: Any) -> None:
+            given.update(arguments)
+
+        def set_filters(self, _: Any) -> None: ...
+
+    monkeypatch.setattr(can, "Bus", Bus)
+    kernel_with(monkeypatch, mtu=72)
+    for interface in ("socketcan", "auto", "pcan"):
+        given.clear()
+        open_port(interface, "can0", options={"k": 1}, fd=fd)
+        assert {key: given[key] for key in given if key not in ("channel", "interface", "ignore_config")} == options
+
+
+def test_an_interface_without_fd_is_refused_for_fd_messages() -> None:
+    with pytest.raises(BusUnavailable, match='"virtual", channel "somewhere": carries classic frames only'):
+        open_port("virtual", "somewhere", fd=FD)
+    with pytest.raises(BadBusOption, match=r"option fd = False: the DBC has CAN FD messages; allowed is true"):
+        open_port("virtual", "somewhere", fd=FD, options={"fd": False})
 
 
 def test_unknown_interface_lists_the_known_ones() -> None:

@@ -1,6 +1,7 @@
 """The port contract, run by every kind of port."""
 
 import socket
+from collections.abc import Mapping
 
 import pytest
 from port_contract import PortContract, Wire
@@ -8,7 +9,7 @@ from port_contract import PortContract, Wire
 from servohil.drivers import can_network
 from servohil.drivers.in_process import in_process_bus
 from servohil.drivers.open_port import open_port
-from servohil.drivers.port import Port
+from servohil.drivers.port import CLASSIC, Port
 from servohil.drivers.python_can_port import PythonCanPort
 
 MULTICAST_GROUP = "239.74.163.2"
@@ -22,10 +23,10 @@ def ephemeral_udp_port() -> int:
 
 
 def opened(interface: str, channel: str, **options: int) -> Wire:
-    def both(first: set[int] | None, second: set[int] | None) -> tuple[Port, Port]:
+    def both(first: set[int] | None, second: set[int] | None, fd: Mapping[int, int] = CLASSIC) -> tuple[Port, Port]:
         return (
-            open_port(interface, channel, receive_ids=first, options=options),
-            open_port(interface, channel, receive_ids=second, options=options),
+            open_port(interface, channel, receive_ids=first, options=options, fd=fd),
+            open_port(interface, channel, receive_ids=second, options=options, fd=fd),
         )
 
     return Wire(both)
@@ -34,8 +35,8 @@ def opened(interface: str, channel: str, **options: int) -> Wire:
 class TestInProcess(PortContract):
     @pytest.fixture
     def wire(self) -> Wire:
-        def ends(first: set[int] | None, second: set[int] | None) -> tuple[Port, Port]:
-            controller, node, bus = in_process_bus(first, second)
+        def ends(first: set[int] | None, second: set[int] | None, fd: Mapping[int, int] = CLASSIC) -> tuple[Port, Port]:
+            controller, node, bus = in_process_bus(first, second, fd)
             wire.tick = bus.tick
             return controller, node
 
@@ -56,9 +57,10 @@ class TestEmbeddedThroughPythonCan(PortContract):
     def wire(self) -> Wire:
         import can
 
-        def ends(first: set[int] | None, second: set[int] | None) -> tuple[Port, Port]:
-            bus = can.Bus(interface="servohil", channel="bench", ignore_config=True)
-            return PythonCanPort(bus, "servohil", "bench", first), open_port("servohil", "bench", receive_ids=second)
+        def ends(first: set[int] | None, second: set[int] | None, fd: Mapping[int, int] = CLASSIC) -> tuple[Port, Port]:
+            bus = can.Bus(interface="servohil", channel="bench", ignore_config=True, fd=bool(fd))
+            ours = open_port("servohil", "bench", receive_ids=second, fd=fd)
+            return PythonCanPort(bus, "servohil", "bench", first, fd=fd), ours
 
         return Wire(ends)
 

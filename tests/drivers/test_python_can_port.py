@@ -9,7 +9,7 @@ import can
 import numpy as np
 import pytest
 
-from servohil.drivers.frame import FLAG_EXTENDED, FLAG_FD, FLAG_REMOTE, FRAME
+from servohil.drivers.frame import FD_FRAME, FLAG_BRS, FLAG_EXTENDED, FLAG_FD, FLAG_REMOTE, FRAME
 from servohil.drivers.python_can_port import ECHO_MEMORY, PythonCanPort
 
 
@@ -45,9 +45,14 @@ class ScriptedBus:
         self.shutdowns += 1
 
 
-def port_on(interface: str = "socketcan", ids: set[int] | None = None) -> tuple[PythonCanPort, ScriptedBus]:
+FD = {0x300: FLAG_FD | FLAG_BRS, 0x301: FLAG_FD}
+
+
+def port_on(
+    interface: str = "socketcan", ids: set[int] | None = None, fd: dict[int, int] | None = None
+) -> tuple[PythonCanPort, ScriptedBus]:
     bus = ScriptedBus()
-    return PythonCanPort(bus, interface, "can0", ids), bus
+    return PythonCanPort(bus, interface, "can0", ids, fd=fd or {}), bus
 
 
 def message(can_id: int = 0x121, data: bytes = b"", **fields: Any) -> can.Message:
@@ -149,6 +154,30 @@ def test_flags_and_data() -> None:
     assert frames["flags"].tolist() == [FLAG_EXTENDED, FLAG_REMOTE, FLAG_FD]
     assert frames["dlc"].tolist() == [2, 3, 12]
     assert frames["data"].tolist() == [[1, 2, 0, 0, 0, 0, 0, 0], [0] * 8, list(range(8))]
+
+
+def test_what_is_sent_under_an_fd_id_is_an_fd_frame() -> None:
+    port, bus = port_on(fd=FD)
+    for can_id, size in ((0x300, 64), (0x301, 8), (0x0A0, 8)):
+        assert port.send(can_id, bytes(size))
+    assert [(m.is_fd, m.bitrate_switch, m.dlc) for m in bus.sent] == [
+        (True, True, 64),
+        (True, False, 8),
+        (False,) * 2 + (8,),
+    ]
+    bus.incoming.extend(bus.sent)
+    frames = np.zeros(4, dtype=FD_FRAME)
+    assert port.drain(frames) == 3
+    assert frames["flags"].tolist() == [FLAG_FD | FLAG_BRS, FLAG_FD, 0, 0]
+
+
+def test_an_echo_of_another_format_is_not_our_echo() -> None:
+    port, bus = port_on("udp_multicast", fd=FD)
+    port.send(0x300, bytes(8))
+    bus.incoming.append(message(0x300, bytes(8)))
+    assert len(drained(port)) == 1
+    bus.incoming.extend(bus.sent)
+    assert len(drained(port)) == 0
 
 
 def test_bus_off_and_restart() -> None:

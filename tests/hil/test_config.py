@@ -160,7 +160,7 @@ ONE_LINE = [
     (('spin_s = "0 us"', 'sync_delay_s = "200 us"'), 'loop.sync_delay_s = "200 us": there is no loop.sync; remove the key or name a message'),
     (("mass_kg = 270", "mass_kg = 0"), "cylinder.mass_kg = 0: must be greater than 0"),
     (("command_max_v = 10", "command_max_v = 11"), "limits.command_max_v = 11: must be less than or equal to 10"),
-    (('e2e = "profile2"', 'e2e = "profile5"'), """bus.messages.Position.e2e = "profile5": must be 'profile2' or 'none'"""),
+    (('e2e = "profile2"', 'e2e = "profile4"'), """bus.messages.Position.e2e = "profile4": must be 'profile2', 'profile5' or 'none'"""),
     (("data_ids = [17,", "data_ids = [256,"), "bus.messages.Position.data_ids[0] = 256: must be less than or equal to 255"),
     (("settle_s", 'reaction = "stop"\nsettle_s'), """leakage.reaction = "stop": must be 'none', 'hold' or 'fault_hold'"""),
     (('kind = "sine"', 'kind = "sin"'), """reference.kind = "sin": must be 'sine' or 'step' or 'ramp' or 's_curve' or 'chirp' or 'prbs' or 'trajectory'"""),

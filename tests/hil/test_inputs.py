@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from servohil.drivers.frame import FRAME_STRUCT
+from servohil.drivers.frame import FD_FRAME, FD_FRAME_STRUCT, FRAME_STRUCT
 from servohil.hil.inputs import (
     FRAME_BYTES,
     HEADER_BYTES,
@@ -59,3 +59,17 @@ def test_frame_count_out_of_range() -> None:
     buffer.integers[N_FRAMES] = -1
     with pytest.raises(InputsError, match="n_frames = -1"):
         parse(bytes(buffer._bytes[:HEADER_BYTES]))
+
+
+def test_frames_of_can_fd_take_80_bytes_each() -> None:
+    buffer = InputsBuffer(4, FD_FRAME)
+    data = bytes(range(64))
+    FD_FRAME_STRUCT.pack_into(buffer.frames.view(np.uint8).data, 80, 0x120, 64, 24, 0, 77, data)
+    payload = bytes(buffer.payload(2))
+    assert payload[HEADER_BYTES:] == bytes(80) + struct.pack("<IBBHq", 0x120, 64, 24, 0, 77) + data
+    assert parse(payload, FD_FRAME).frames["data"][1].tobytes() == data
+    with pytest.raises(InputsError, match=r"they are frames of 80 bytes, the rig's DBC asks for 24"):
+        parse(payload)
+    with pytest.raises(InputsError, match=r"they are frames of 24 bytes, the rig's DBC asks for 80"):
+        parse(bytes(InputsBuffer(4).payload(2)), FD_FRAME)
+    assert len(parse(bytes(buffer.payload(0))).frames) == 0

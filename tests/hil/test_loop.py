@@ -53,7 +53,7 @@ def run_loop(
     sent: list[bytes] = []
     cycle: Any = SimpleNamespace(
         snapshot=record.row, snapshot_bytes=record.bytes, arena=SimpleNamespace(save=lambda: b"state"), step=step,
-        command_id=160, zero_frame=lambda: b"zero",
+        command_id=160, zero_frame=lambda: b"zero", codec=SimpleNamespace(frame=FRAME),
     )  # fmt: skip
     health = SimpleNamespace(send_failed=0, bus_off=False, down=False)
     port: Any = SimpleNamespace(drain=drain, health=health, send=lambda _, data: sent.append(data))

@@ -28,7 +28,11 @@ TARGETS: Final = {
         "tests/hil/test_gate_codes.py", "tests/hil/test_gate.py", "tests/hil/test_gate_limits.py",
         "tests/hil/test_gate_specification.py", "tests/hil/test_gate_properties.py",
     ),
-    "drivers/e2e.py": ("tests/drivers/test_e2e_vectors.py", "tests/drivers/test_e2e.py"),
+    "drivers/e2e.py": (
+        "tests/drivers/test_e2e_vectors.py",
+        "tests/drivers/test_e2e_profile5.py",
+        "tests/drivers/test_e2e.py",
+    ),
 }  # fmt: skip
 # Exhaustive searches that take minutes without compiling; what they would find, the pinned data ids and vectors find.
 LEFT_OUT: Final = ("test_every_1_2_and_3_bit_error_is_detected", "test_arbitrary_data_ids_do_not_detect_every_error")
