@@ -156,4 +156,6 @@ def _allowed_at(path: Path, raw: Mapping[str, Any], root: type[BaseModel]) -> st
         return " or ".join(repr(choice) for choice in get_args(annotation))
     if _models_at(annotation):
         return f"a table [{dotted(path)}]"
-    return {float: "a number", int: "a whole number", str: "a text"}[annotation]
+    if get_origin(annotation) is tuple:
+        return "an array"
+    return {float: "a number", int: "a whole number", str: "a text", bool: "true or false"}.get(annotation, "a value")

@@ -171,6 +171,7 @@ ONE_LINE = [
     (("speed_max_mps = 1.0", ""), 'limits.speed_max_mps: missing; allowed: a number in m/s, or a text such as "1 mm/s" in m/s, um/s, mm/s'),
     (('law = "intsmc"', ""), "control.law: missing; allowed: 'intsmc' or 'integral_terminal' or 'fintsc' or 'afintsc' or 'ntsmc' or 'smc' or 'pole_placement' or 'pid'"),
     (('dbc = "bench.dbc"', ""), "bus.dbc: missing; allowed: a text"),
+    (("c = [120.0, 13440.0, 768000.0]", ""), "control.c: missing; allowed: an array"),
     (("seed = 1", ""), "plant.seed: missing; allowed: a whole number"),
     (("phase = 0.5", ""), "loop.phase: missing; allowed: a number"),
     (("omega_rad_per_s = 2.0", ""), 'reference.omega_rad_per_s: missing; allowed: a number in rad/s, or a text such as "1 rad/s" in rad/s'),
@@ -284,3 +285,20 @@ def test_reading_a_rig_loads_neither_numba_nor_the_simulator() -> None:
     rig = str(ROOT / "rigs" / "bench.toml")
     done = subprocess.run([sys.executable, "-c", code, rig], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
+
+
+@pytest.mark.parametrize("rig", ["bench", "leakage", "bench-fd"])
+def test_any_line_may_be_missing(tmp_path: Path, rig: str) -> None:
+    """It loads without it, or says what is missing and what may stand there."""
+    lines = (ROOT / "rigs" / f"{rig}.toml").read_text().splitlines()
+    refused = 0
+    for k, line in enumerate(lines):
+        if line and not line.startswith("#"):
+            path = written(tmp_path, "\n".join(lines[:k] + lines[k + 1 :]))
+            (tmp_path / "bench-fd.dbc").write_text('VERSION ""\n')
+            try:
+                load_rig(path)
+            except ConfigError as error:
+                refused += 1
+                assert all(text.startswith(f"{path}: ") for text in str(error).splitlines())
+    assert refused > len(lines) / 3
