@@ -31,8 +31,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.drivers.frame import DATA_BYTES, FD_FRAME_STRUCT, FLAG_ERROR, FRAME_STRUCT, STRUCTS
+from servohil.drivers.frame import DATA_BYTES, FD_FRAME_STRUCT, FRAME_STRUCT
 from servohil.drivers.port import BadBusOption, BusUnavailable
+from servohil.drivers.receive_many import AT_ONCE, NO_IDS, ReceiveMany, take_records
 
 CHANNEL_PATTERN: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,31}")
 # sun_path holds 108 bytes with the closing zero.
@@ -89,12 +90,16 @@ class Mesh:
             )
         self.channel = channel
         self.dropped = 0
+        self.error_frames = 0  # among those drained since the start
         self._peers: dict[int, socket.socket] = {}
         # Replaced, never changed in place: a thread may iterate while another one accepts (python-can's Notifier).
         self._senders: tuple[socket.socket, ...] = ()
         self._epoll = select.epoll()
         self._closed = False
         self._turn = 0
+        self._receive = ReceiveMany()
+        self._frames: NDArray[Any] | None = None
+        self._out: NDArray[np.uint8] = np.zeros((0, 0), np.uint8)
         try:
             self._join(buses_folder())
         except OSError:
@@ -179,16 +184,16 @@ class Mesh:
         record = FRAME_STRUCT if len(data) <= DATA_BYTES else FD_FRAME_STRUCT
         self.send_record(record.pack(can_id, dlc, flags, 0, time.monotonic_ns(), data))
 
-    def drain_into(self, frames: NDArray[Any], ids: frozenset[int] | None = None) -> int:
+    def drain_into(self, frames: NDArray[Any], ids: NDArray[np.int64] = NO_IDS) -> int:
         """Fill `frames` from the front with what waits; returns how many. Never blocks.
 
-        Only frames with one of `ids` (None: all), and error frames. Nodes are read one after another, each time with
+        Only frames with one of `ids` (empty: all), and error frames. Nodes are read one after another, each time with
         another one first, and a bounded number of frames: a babbling node can neither starve the others nor hold us.
         """
         if self._closed:
             return 0
-        buffer, record_bytes = frames.view(np.uint8).data, frames.itemsize
-        record = STRUCTS[record_bytes]
+        if frames is not self._frames:  # a loop always gives the same
+            self._frames, self._out = frames, frames.view(np.uint8).reshape(len(frames), frames.itemsize)
         n, room, reads_left = 0, len(frames), READS_PER_ROOM * len(frames)
         ready = self._epoll.poll(0)
         if any(fd not in self._peers for fd, _ in ready):  # somebody joins, and may have sent already
@@ -197,27 +202,27 @@ class Mesh:
         now_ns = time.monotonic_ns()
         self._turn += 1
         first = self._turn % max(len(ready), 1)
+        receive = self._receive
         for fd, _ in ready[first:] + ready[:first]:
-            peer = self._peers[fd]
             while n < room and reads_left > 0:
-                at = n * record_bytes
-                reads_left -= 1
+                most = min(room - n, reads_left, AT_ONCE)
                 try:
-                    size = peer.recv_into(buffer[at : at + record_bytes])  # a longer record is cut
-                except BlockingIOError:
-                    break
+                    got = receive.receive(fd, most)
                 except ConnectionResetError:
+                    reads_left -= 1
                     continue  # it closed without reading everything of ours; its own last frames still follow
                 except OSError:
-                    size = 0
-                arrived = STRUCTS.get(size)
-                if arrived is None:
                     self._remove(fd)
                     break
-                can_id, dlc, flags, _, sent_ns, data = arrived.unpack_from(buffer, at)
-                if ids is None or can_id in ids or flags & FLAG_ERROR:
-                    record.pack_into(buffer, at, can_id, dlc, flags, 0, max(now_ns - sent_ns, 0), data)
-                    n += 1
+                taken, looked, errors = take_records(receive.records, receive.lengths, got, ids, now_ns, self._out, n)
+                n += taken
+                self.error_frames += errors
+                reads_left -= got
+                if looked < got:  # it has closed, or is none of ours
+                    self._remove(fd)
+                    break
+                if got < most:
+                    break
         return n
 
     def wait(self, timeout_s: float | None) -> bool:

@@ -3,11 +3,13 @@
 from collections.abc import Collection, Mapping
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from servohil.drivers.frame import FLAG_ERROR
 from servohil.drivers.local_mesh import Mesh
 from servohil.drivers.port import CLASSIC, PortHealth
+from servohil.drivers.receive_many import NO_IDS
 
 INTERFACE = "servohil"
 
@@ -25,7 +27,8 @@ class LocalPort:
         fd: Mapping[int, int] = CLASSIC,
     ) -> None:
         self._mesh = Mesh(channel)
-        self._receive_ids = None if receive_ids is None else frozenset(receive_ids)
+        # An id that no frame has: only error frames. Without any, all.
+        self._receive_ids = NO_IDS if receive_ids is None else np.array(sorted(receive_ids) or [-1], np.int64)
         self._fd = dict(fd)
         self._closed = False
         self.name = f"{INTERFACE}:{channel}"
@@ -36,12 +39,10 @@ class LocalPort:
         if self._closed:
             return 0
         n = self._mesh.drain_into(frames, self._receive_ids)
-        if n:
-            self.health.received += n
-            error_frames = frames["flags"][:n] & FLAG_ERROR
-            if error_frames.any():
-                for error_classes in frames["id"][:n][error_frames != 0]:
-                    self.health.saw_error_frame(int(error_classes))
+        self.health.received += n
+        if self._mesh.error_frames > self.health.error_frames:
+            for error_classes in frames["id"][:n][frames["flags"][:n] & FLAG_ERROR != 0]:
+                self.health.saw_error_frame(int(error_classes))
         return n
 
     def send(self, can_id: int, data: bytes) -> bool:
