@@ -184,7 +184,7 @@ def test_a_crc_error_does_not_move_the_counter() -> None:
         ((1, PROFILE5, (1, 2)), '2 given, e2e = "profile5" needs 1'),
         ((1, PROFILE5, (0x10000,)), "65536 is not a 16-bit number"),
         ((1, PROFILE5, (-1,)), "-1"),
-        ((1, "none", (1,)), "1 given"),
+        ((1, "none", (255,)), "1 given"),
         ((1, "profile4", (1,)), '"profile2", "profile5", "none"'),
     ],
 )

@@ -20,6 +20,7 @@ from servohil.hil.inputs import HEADER_BYTES, InputsError, parse
 from servohil.hil.lockstep import run_lockstep
 from servohil.hil.operator_script import OperatorScript
 from servohil.hil.replay import ReplayResult, replay_cycles
+from servohil.hil.ring import Kind, RingWriter, capacity_for
 from servohil.hil.snapshot import SNAPSHOT
 from servohil.sim_bench.actuator_node import ActuatorNode, TruthLog
 from servohil.sim_bench.faults.kinds import Fault
@@ -138,6 +139,14 @@ def test_faults_of_frames_are_noticed(rig: Rig, kind: str, changes: dict[str, An
     raised = int(np.flatnonzero(rows["events"] & Event.BAD_FRAMES)[0])
     assert raised - first == rig.limits.bad_frames_tolerated
     assert rows["state"][raised] == DeviceState.FAULT_REACTION
+
+
+def test_the_ring_holds_what_it_promises_with_fd_frames(tmp_path: Path) -> None:
+    capacity = capacity_for(0.05, 1000.0, checkpoint_bytes=0, frame_bytes=FD_FRAME.itemsize)
+    ring = RingWriter(capacity, tmp_path)
+    payload = bytes(HEADER_BYTES + 24 * FD_FRAME.itemsize)
+    assert all(ring.write(Kind.SNAPSHOT, bytes(SNAPSHOT.itemsize), payload) for _ in range(50))
+    ring.close()
 
 
 def test_a_second_commander_on_fd_is_noticed(rig: Rig) -> None:
