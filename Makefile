@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 BIN := .venv/bin
 STAMP := .venv/.locked
 
-.PHONY: setup bench test nightly mutants check test-socketcan proto lock clean
+.PHONY: setup bench test nightly mutants check test-socketcan proto lock mdf clean
 
 setup: $(STAMP)
 
@@ -44,8 +44,13 @@ test-socketcan: setup
 proto: setup
 	$(BIN)/python -m servohil.hil.telemetry.make_proto
 
+# `hil log export --to mf4` runs asammdf from here: it must never be importable beside the controller.
+mdf:
+	test -x .venv-mdf/bin/python || $(PYTHON) -m venv .venv-mdf
+	.venv-mdf/bin/python -m pip install --quiet --disable-pip-version-check asammdf==8.8.28
+
 lock:
 	uv pip compile pyproject.toml --extra dev --generate-hashes --python-version 3.11 --no-header --no-annotate --upgrade -o requirements.lock
 
 clean:
-	rm -rf .venv build *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf .venv .venv-mdf build *.egg-info .pytest_cache .mypy_cache .ruff_cache

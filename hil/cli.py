@@ -10,8 +10,10 @@ from typing import Any
 import click
 
 from servohil.hil.benchmark_cli import benchmark
-from servohil.hil.command_line import EXIT_REFUSED, RIG, load, new_folder, one_clear_line, plant_file, refuse_given
+from servohil.hil.command_line import RIG, load, new_folder, one_clear_line, plant_file, refuse_given
 from servohil.hil.evaluate_cli import evaluate
+from servohil.hil.log_cli import log
+from servohil.hil.replay_cli import replay
 from servohil.hil.secure_cli import secure
 
 LEAK_KIND = click.Choice(["internal", "external_a", "external_b"])
@@ -209,19 +211,6 @@ def bench(
 
 
 @main.command()
-@click.argument("recording", type=click.Path(path_type=Path))
-def replay(recording: Path) -> None:
-    """Feed RECORDING through the controller again; every recorded output must come out bit for bit."""
-    with one_clear_line():
-        from servohil.hil.compile_message import say_when_compiling
-        from servohil.hil.replay_recording import replay_recording
-
-        say_when_compiling()
-        result = replay_recording(recording, click.echo)
-    sys.exit(0 if result.identical else EXIT_REFUSED)
-
-
-@main.command()
 @RIG
 def doctor(rig: Path) -> None:
     """Check this machine for what RIG needs, and say what to change."""
@@ -264,6 +253,8 @@ def reproduce(experiment: str, runs: int, out: Path, data: Path | None) -> None:
 
 main.add_command(benchmark)
 main.add_command(evaluate)
+main.add_command(log)
+main.add_command(replay)
 main.add_command(secure)
 
 

@@ -2,13 +2,13 @@
 bit.
 """
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from servohil.hil.cycle import Cycle
-from servohil.hil.inputs import parse
+from servohil.hil.inputs import parse_many
 from servohil.hil.snapshot import SNAPSHOT
 
 
@@ -27,12 +27,15 @@ class ReplayResult:
         return self.cycles > 0 and self.different == 0
 
 
-def replay_cycles(cycle: Cycle, records: Iterable[tuple[bytes, bytes]], result: ReplayResult) -> None:
+def replay_cycles(cycle: Cycle, records: Sequence[tuple[bytes, bytes]], result: ReplayResult) -> None:
     """Feed recorded (snapshot, inputs) pairs to `cycle`, already at the state before the first; counts into
     `result`.
     """
-    for snapshot, payload in records:
-        inputs = parse(payload, cycle.codec.frame)
+    for snapshot, inputs in zip(
+        [snapshot for snapshot, _ in records],
+        parse_many([payload for _, payload in records], cycle.codec.frame),
+        strict=True,
+    ):
         cycle.step(inputs.header, inputs.frames)
         result.cycles += 1
         if cycle.snapshot_bytes != snapshot:

@@ -45,6 +45,7 @@ def telemetry_setup(cycle: Cycle, ring: RingWriter, folder: Path, wait_for_subsc
         meta={"config_hash": rig.config_hash(), "version": facts.get("version", "")},
         recording=str(folder / RECORDING_FILE),
         rotate_bytes=rig.recording.rotate_bytes,
+        reserve_bytes=rig.recording.reserve_bytes,
         rig_toml=rig.path.read_text(encoding="utf-8"),
         rig_dbc=rig.dbc_path.read_text(encoding="utf-8"),
         provenance={**facts, "listen_only": str(cycle.listen_only), "dbc_name": rig.dbc_path.name},

@@ -41,6 +41,10 @@ FILE_MAY_IMPORT = {
     "drivers/open_port.py": {"can"},
     "drivers/python_can_port.py": {"can"},
     "estimators/linear_algebra/reflection.py": {"llvmlite"},
+    "hil/recording/can_log.py": {"can"},
+    "hil/recording/export_can.py": {"can"},
+    "hil/recording/export_table.py": {"pyarrow"},
+    "hil/recording/mdf_script.py": {"asammdf"},  # run by another Python, imported by nobody
     "hil/secure/certificates.py": {"cryptography"},
     "hil/reference_profile.py": {"scipy"},  # the spline of a trajectory, at start-up
     "sim_bench/campaign_table.py": {"pyarrow"},

@@ -123,6 +123,7 @@ class Recording(Section):
 
     directory: Annotated[str, Field(min_length=1)]  # relative to the working directory
     rotate_bytes: Annotated[int, Field(ge=1_000_000)]
+    reserve_bytes: Annotated[int, Field(ge=0)] = 500_000_000  # that the disk keeps free: recording ends there
 
 
 class Rig(Section):

@@ -20,6 +20,10 @@ class RecordingError(OSError):
     """A recording cannot be made, or a file is none."""
 
 
+class DiskReserveReached(RecordingError):  # noqa: N818 - names a condition, as BlockingIOError does
+    """The disk has less free room than it shall keep; what was recorded is closed properly."""
+
+
 @dataclass(frozen=True, slots=True)
 class About:
     """What every file of a recording says about itself. `provenance`: versions, seed, git revision, machine facts."""

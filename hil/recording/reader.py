@@ -11,22 +11,22 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import numpy as np
 import zstandard
 from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import breakup_chunk
+from mcap.records import Attachment, Channel, Header, McapRecord, Message, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
+from servohil.hil.recording.chunk import RECORD_BYTES, chunk_records, unpacked
 from servohil.hil.recording.layout import CHECKPOINT, EVENT, GAP_CODE, INPUTS, METADATA, PROFILE, STATE, RecordingError
 from servohil.hil.snapshot import SNAPSHOT, SNAPSHOT_VERSION
-from servohil.hil.telemetry.encoding import EncodingError, snapshot_of
+from servohil.hil.telemetry.encoding import EncodingError, snapshots_of
 from servohil.hil.telemetry.servohil_pb2 import Checkpoint as CheckpointMessage
 from servohil.hil.telemetry.servohil_pb2 import CycleInputs
 
-RECORD_BYTES: Final = 64 << 20  # of one record, as it stands in the file and unpacked; ours have a few MB
 _FRAME: Final = struct.Struct("<BQ")
 _CRC: Final = struct.Struct("<I")
 _INDEX: Final = struct.Struct("<HI")
@@ -41,20 +41,6 @@ _READ: Final[dict[int, Any]] = {
 
 def _stream(body: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(body))
-
-
-def _unpackable(body: bytes) -> Chunk:
-    """A chunk that does not become larger than RECORD_BYTES: a few bytes can stand for as many gigabytes."""
-    chunk = Chunk.read(_stream(body))
-    if chunk.compression not in ("", "zstd"):
-        raise ValueError(f"a chunk packed with {chunk.compression[:20]!r}; allowed: zstd or none")
-    size = chunk.uncompressed_size
-    if size > RECORD_BYTES:
-        raise ValueError(f"a chunk of {size} bytes unpacked; allowed: at most {RECORD_BYTES}")
-    # The frame has a size of its own, and the unpacker believes that one.
-    if chunk.compression == "zstd" and (framed := zstandard.frame_content_size(chunk.data)) != size:
-        raise ValueError(f"a chunk of {size} bytes unpacked whose frame says {framed}; allowed: one size")
-    return chunk
 
 
 def _check(opcode: int, body: bytes) -> None:
@@ -109,7 +95,8 @@ class Recording:
     """One file. Constructing reads what stands before the first cycle; iterate `items` or `replayable` for the rest.
 
     `complete` and `problem` are known when an iteration has come to its end: a file that was cut has complete = False
-    and problem None, a damaged one says what and where.
+    and problem None, a damaged one says what and where. `origin_ns`, known from the first cycle on, is the wall clock
+    at t_ns = 0, or 0 where there was none (lockstep); `read_bytes` is how far an iteration has come.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -119,6 +106,8 @@ class Recording:
         self.attachments: dict[str, bytes] = {}
         self.complete = False
         self.problem: str | None = None
+        self.origin_ns: int | None = None
+        self.read_bytes = 0
         try:
             with self.path.open("rb") as stream:
                 magic = stream.read(len(MCAP0_MAGIC))
@@ -142,6 +131,11 @@ class Recording:
 
     def records(self) -> Iterator[McapRecord]:
         """Every complete MCAP record up to the index: Header, Schema, Channel, Message, Attachment, Metadata."""
+        for block in self._blocks():
+            yield from block
+
+    def _blocks(self) -> Iterator[list[McapRecord]]:
+        """The same, those of one chunk together."""
         self.complete, self.problem = False, None
         size = self.path.stat().st_size
         with self.path.open("rb") as stream:
@@ -158,48 +152,64 @@ class Recording:
                     return
                 body = stream.read(length)
                 try:
+                    block: list[McapRecord] = []
                     if opcode == Opcode.CHUNK:
-                        yield from breakup_chunk(_unpackable(body), validate_crc=True)
+                        block = list(chunk_records(unpacked(body)))
                     else:
                         _check(opcode, body)
-                        if opcode == Opcode.DATA_END:
-                            self.complete = True
-                            return
                         if opcode in _READ:
-                            yield _READ[opcode].read(_stream(body))
+                            block = [_READ[opcode].read(_stream(body))]
                 except (McapError, zstandard.ZstdError, struct.error, ValueError) as error:
                     self.problem = f"{self.path} is damaged at byte {at}: {str(error) or type(error).__name__}"
                     return
+                if opcode == Opcode.DATA_END:
+                    stream.seek(max(at, size - len(MCAP0_MAGIC)))
+                    self.complete = stream.read() == MCAP0_MAGIC  # without its index other tools refuse the file
+                    return
                 at += _FRAME.size + length
+                self.read_bytes = at
+                yield block
 
-    def items(self) -> Iterator[Item]:
-        """Everything recorded, in order. Raises RecordingError if this build lays out its snapshots differently."""
+    def check_version(self) -> None:
+        """Raises RecordingError if this build lays out its snapshots differently."""
         version, size = self.metadata.get("snapshot_version"), self.metadata.get("snapshot_bytes")
         if (version, size) != (str(SNAPSHOT_VERSION), str(SNAPSHOT.itemsize)):
             raise RecordingError(
                 f"{self.path} was recorded with snapshot version {version} ({size} bytes); "
                 f"this build has version {SNAPSHOT_VERSION} ({SNAPSHOT.itemsize} bytes)"
             )
+
+    def items(self) -> Iterator[Item]:
+        """Everything recorded, in order. Raises RecordingError if this build lays out its snapshots differently."""
+        self.check_version()
         topics: dict[int, str] = {}
         snapshot = b""
-        for record in self.records():
-            if isinstance(record, Channel):
-                topics[record.id] = record.topic
-            if not isinstance(record, Message):
-                continue
-            topic = topics.get(record.channel_id, "")
+        for block in self._blocks():
+            for record in block:
+                if isinstance(record, Channel):
+                    topics[record.id] = record.topic
+            states = [r for r in block if isinstance(r, Message) and topics.get(r.channel_id) == STATE]
+            topic = STATE
             try:
-                if topic == STATE:
-                    snapshot = snapshot_of(record.data)
-                elif topic == INPUTS:
-                    if not snapshot:
-                        raise EncodingError("inputs before any state")
-                    yield Cycle(snapshot, CycleInputs.FromString(record.data).payload)
-                elif topic == CHECKPOINT:
-                    yield Checkpoint(CheckpointMessage.FromString(record.data).state)
-                elif topic == EVENT:
-                    content = json.loads(record.data)
-                    yield Gap(int(content["lost"])) if content.get("code") == GAP_CODE else Event(content)
+                found = snapshots_of([state.data for state in states])
+                if found and self.origin_ns is None:
+                    self.origin_ns = states[0].log_time - int(np.frombuffer(found[0], SNAPSHOT)["t_ns"][0])
+                snapshots = iter(found)
+                for record in block:
+                    if not isinstance(record, Message):
+                        continue
+                    topic = topics.get(record.channel_id, "")
+                    if topic == STATE:
+                        snapshot = next(snapshots)
+                    elif topic == INPUTS:
+                        if not snapshot:
+                            raise EncodingError("inputs before any state")
+                        yield Cycle(snapshot, CycleInputs.FromString(record.data).payload)
+                    elif topic == CHECKPOINT:
+                        yield Checkpoint(CheckpointMessage.FromString(record.data).state)
+                    elif topic == EVENT:
+                        content = json.loads(record.data)
+                        yield Gap(int(content["lost"])) if content.get("code") == GAP_CODE else Event(content)
             except (EncodingError, DecodeError, ValueError, KeyError, AttributeError, RecursionError) as error:
                 reason = str(error) or type(error).__name__
                 raise RecordingError(f"{self.path}: a message on {topic!r} is not ours: {reason}") from error

@@ -5,6 +5,7 @@ SYNC_NS.
 """
 
 import contextlib
+import errno
 import json
 import os
 from collections.abc import Sequence
@@ -26,6 +27,7 @@ from servohil.hil.recording.layout import (
     RIG_TOML,
     STATE,
     About,
+    DiskReserveReached,
     RecordingError,
 )
 from servohil.hil.snapshot import SNAPSHOT, SNAPSHOT_VERSION
@@ -47,11 +49,19 @@ class RecordingWriter:
     """Writes one recording, in files of about `rotate_bytes`. All methods raise OSError when the disk refuses.
 
     `unix_origin_ns`: wall clock at t_ns = 0, settable until the first cycle; 0 makes a file that repeats bit for bit.
+    A disk with less than `reserve_bytes` free ends the recording at the next flush: others need that room.
     Every file must open with a checkpoint: the caller sends one first, and again when `wants_checkpoint`.
     """
 
     def __init__(
-        self, path: Path, about: About, *, unix_origin_ns: int = 0, rotate_bytes: int = ROTATE_BYTES, sync: bool = True
+        self,
+        path: Path,
+        about: About,
+        *,
+        unix_origin_ns: int = 0,
+        rotate_bytes: int = ROTATE_BYTES,
+        reserve_bytes: int = 0,
+        sync: bool = True,
     ) -> None:
         """Creates the first file. Raises RecordingError if the folder is missing or the file exists."""
         self.path = path
@@ -61,6 +71,7 @@ class RecordingWriter:
         self.files: list[Path] = []
         self._about = about
         self._rotate_bytes = rotate_bytes
+        self._reserve_bytes = reserve_bytes
         self._sync = sync
         self._flushed_ns = self._synced_ns = -SYNC_NS
         self._last_ns = unix_origin_ns
@@ -148,16 +159,28 @@ class RecordingWriter:
         self._add(EVENT, self._last_ns, json.dumps(event).encode())
 
     def tick(self, now_ns: int) -> None:
-        """Flush and sync if it is time; `now_ns` on any monotonic clock. Call it at least every 100 ms."""
+        """Flush and sync if it is time; `now_ns` on any monotonic clock. Call it at least every 100 ms.
+
+        Raises DiskReserveReached, with everything recorded so far in a finished file.
+        """
         if now_ns - self._flushed_ns < FLUSH_NS:
             return
         self._flushed_ns = now_ns
         self._writer.flush()
+        self._keep_reserve()
         if self._stream.tell() >= self._rotate_bytes:
             self._rotation_due = True
         if self._sync and now_ns - self._synced_ns >= SYNC_NS:
             self._synced_ns = now_ns
             os.fsync(self._stream.fileno())
+
+    def _keep_reserve(self) -> None:
+        disk = os.fstatvfs(self._stream.fileno())
+        free = disk.f_bavail * disk.f_frsize
+        if free < self._reserve_bytes:
+            self._close_file()
+            text = f"the disk has {free} bytes free; it shall keep recording.reserve_bytes = {self._reserve_bytes}"
+            raise DiskReserveReached(errno.ENOSPC, text)
 
     def _close_file(self) -> None:
         self._writer.finish()
@@ -168,7 +191,8 @@ class RecordingWriter:
 
     def close(self) -> None:
         """Finish the file with its index. What was flushed before stays readable if the disk refuses (OSError)."""
-        self._close_file()
+        if not self._stream.closed:
+            self._close_file()
 
     def abandon(self) -> None:
         """After an OSError: give the file up as it is, without writing more."""

@@ -5,6 +5,7 @@ always the same length, and a batch of samples is one numpy copy: 2 us per sampl
 Zero is written out too, which proto3 allows and every parser reads.
 """
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -45,7 +46,7 @@ _PREFIX: Final = varint(_SAMPLES_FIELD << 3 | _LENGTH_DELIMITED) + varint(STATE_
 _ROW: Final = np.frombuffer(_PREFIX + _TEMPLATE, np.uint8)
 _ROW_PLACES: Final = _PLACES + len(_PREFIX)
 _TAGS: Final = np.setdiff1d(np.arange(STATE_BYTES), _PLACES)
-_TAG_BYTES: Final = np.frombuffer(_TEMPLATE, np.uint8)[_TAGS].tobytes()
+_TEMPLATE_TAGS: Final = np.frombuffer(_TEMPLATE, np.uint8)[_TAGS]
 
 
 class EncodingError(ValueError):
@@ -72,10 +73,18 @@ def encode_batch(samples: NDArray[np.uint8], seq: int, t_unix_ns: int, age_ns: i
     return head + samples.tobytes()
 
 
+def snapshots_of(states: Sequence[bytes]) -> list[bytes]:
+    """The SNAPSHOT records that `states` were made from, bit for bit. Raises EncodingError for any other layout."""
+    for state in states:
+        if len(state) != STATE_BYTES:
+            raise EncodingError(f"{len(state)} bytes are not a State as this build records it ({STATE_BYTES} bytes)")
+    raw = np.frombuffer(b"".join(states), np.uint8).reshape(-1, STATE_BYTES)
+    if (raw[:, _TAGS] != _TEMPLATE_TAGS).any():
+        raise EncodingError(f"these {STATE_BYTES} bytes are not a State as this build records it")
+    packed = raw[:, _PLACES].tobytes()
+    return [packed[at : at + SNAPSHOT_BYTES] for at in range(0, len(packed), SNAPSHOT_BYTES)]
+
+
 def snapshot_of(state: bytes) -> bytes:
-    """The SNAPSHOT record that `state` was made from, bit for bit. Raises EncodingError for any other layout."""
-    if len(state) == STATE_BYTES:
-        raw = np.frombuffer(state, np.uint8)
-        if raw[_TAGS].tobytes() == _TAG_BYTES:
-            return raw[_PLACES].tobytes()
-    raise EncodingError(f"{len(state)} bytes are not a State as this build records it ({STATE_BYTES} bytes)")
+    """The SNAPSHOT record of one state. Raises EncodingError."""
+    return snapshots_of([state])[0]

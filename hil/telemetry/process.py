@@ -69,7 +69,9 @@ class Telemetry:
             return None
         about = About(setup.rig, setup.rig_toml, setup.rig_dbc, setup.provenance)
         try:
-            return RecordingWriter(Path(setup.recording), about, rotate_bytes=setup.rotate_bytes)
+            return RecordingWriter(
+                Path(setup.recording), about, rotate_bytes=setup.rotate_bytes, reserve_bytes=setup.reserve_bytes
+            )
         except OSError:
             close_session(self.session)
             raise

@@ -52,6 +52,7 @@ class TelemetrySetup:
     meta: Mapping[str, str] = field(default_factory=dict)
     recording: str | None = None
     rotate_bytes: int = ROTATE_BYTES
+    reserve_bytes: int = 0
     rig_toml: str = ""
     rig_dbc: str = ""
     provenance: Mapping[str, str] = field(default_factory=dict)

@@ -130,7 +130,7 @@ def test_the_hash_is_of_the_meaning_not_of_the_text(tmp_path: Path) -> None:
 ONE_LINE = [
     # unknown keys
     (("speed_max_mps = 1.0", "speed_max_mps = 1.0\nspeed_maxx = 2"), "limits.speed_maxx = 2: unknown key; did you mean speed_max_mps?"),
-    (("[recording]", "[recording]\nzzz = 1"), "recording.zzz = 1: unknown key; allowed: directory, rotate_bytes"),
+    (("[recording]", "[recording]\nzzz = 1"), "recording.zzz = 1: unknown key; allowed: directory, rotate_bytes, reserve_bytes"),
     (("[telemetry]", "[extra]\nx = 1\n[telemetry]"), 'extra = {"x": 1}: unknown key; allowed: name, loop, bus, signals, cylinder, estimator, control, reference, limits, leakage, telemetry, recording, plant'),
     (('period_s = "1 ms"', 'period_s = "1 ms"\nperiodd = 1'), "bus.messages.Position.periodd = 1: unknown key; did you mean period_s?"),
     (("blend_s = 2.0", "blend_s = 2.0\nomega = 2.0"), "reference.omega = 2.0: unknown key; did you mean omega_rad_per_s?"),

@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from servohil.drivers.frame import FD_FRAME, FD_FRAME_STRUCT, FRAME_STRUCT
+from servohil.drivers.frame import FD_FRAME, FD_FRAME_STRUCT, FRAME, FRAME_STRUCT
 from servohil.hil.inputs import (
     FRAME_BYTES,
     HEADER_BYTES,
@@ -13,7 +13,9 @@ from servohil.hil.inputs import (
     N_FRAMES,
     InputsBuffer,
     InputsError,
+    frame_of,
     parse,
+    parse_many,
 )
 
 
@@ -73,3 +75,20 @@ def test_frames_of_can_fd_take_80_bytes_each() -> None:
     with pytest.raises(InputsError, match=r"they are frames of 24 bytes, the rig's DBC asks for 80"):
         parse(bytes(InputsBuffer(4).payload(2)), FD_FRAME)
     assert len(parse(bytes(buffer.payload(0))).frames) == 0
+
+
+@pytest.mark.parametrize("frame", [FRAME, FD_FRAME])
+def test_many_at_once_are_the_same_as_one_by_one(frame: np.dtype[np.void]) -> None:
+    random = np.random.default_rng(0)
+    buffer = InputsBuffer(5, frame)
+    payloads = []
+    for n in (0, 3, 1, 5, 0):
+        buffer.frames.view(np.uint8)[:] = random.integers(0, 256, buffer.frames.nbytes)
+        buffer.header["t_ns"] = random.integers(2**40)
+        payloads.append(bytes(buffer.payload(n)))
+    for many, payload in zip(parse_many(payloads, frame), payloads, strict=True):
+        one = parse(payload, frame)
+        assert many.header == one.header and many.frames.tobytes() == one.frames.tobytes()
+    assert frame_of(payloads) == frame and frame_of(payloads[:1]) == FRAME
+    with pytest.raises(InputsError, match="frames of"):
+        list(parse_many(payloads, FRAME if frame == FD_FRAME else FD_FRAME))
