@@ -13,6 +13,7 @@ from servohil.hil.benchmark_cli import benchmark
 from servohil.hil.command_line import EXIT_REFUSED, RIG, load, new_folder, one_clear_line, plant_file, refuse_given
 from servohil.hil.evaluate_cli import evaluate
 from servohil.hil.secure_cli import secure
+from servohil.hil.view_cli import top, view
 
 LEAK_KIND = click.Choice(["internal", "external_a", "external_b"])
 FAULTS = click.option(
@@ -263,6 +264,8 @@ def reproduce(experiment: str, runs: int, out: Path, data: Path | None) -> None:
 main.add_command(benchmark)
 main.add_command(evaluate)
 main.add_command(secure)
+main.add_command(view)
+main.add_command(top)
 
 
 if __name__ == "__main__":
