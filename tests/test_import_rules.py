@@ -42,6 +42,9 @@ FILE_MAY_IMPORT = {
     "drivers/python_can_port.py": {"can"},
     "estimators/linear_algebra/reflection.py": {"llvmlite"},
     "hil/secure/certificates.py": {"cryptography"},
+    "hil/view/command.py": {"uvicorn"},
+    "hil/view/pages.py": {"starlette"},
+    "hil/view/server.py": {"starlette"},
     "hil/reference_profile.py": {"scipy"},  # the spline of a trajectory, at start-up
     "sim_bench/campaign_table.py": {"pyarrow"},
     "sim_bench/benchmarks/filterpy_peer.py": {"filterpy"},  # a peer where installed, else the row says so

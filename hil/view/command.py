@@ -31,19 +31,24 @@ def view_command(
         # Behind `#`, so that no browser sends it and no log has it.
         say(f"view: {address}{f'#token={token}' if token else ''}")
         say(f"rig {rig} at {endpoint}; {'who has this address commands' if token else 'view only'}; Ctrl-C ends")
-        config = uvicorn.Config(
-            ViewServer(link, token).app(),
-            loop="asyncio",
-            http="h11",
-            ws="websockets-sansio",
-            ws_max_size=4 * ORDER_BYTES,
-            ws_per_message_deflate=False,  # costs more than loopback does
-            log_level="warning",
-            access_log=False,
-            server_header=False,
-            timeout_graceful_shutdown=1,
-        )
-        asyncio.run(uvicorn.Server(config).serve(sockets=[door]))
+        server = uvicorn.Server(server_settings(ViewServer(link, token)))
+        asyncio.run(server.serve(sockets=[door]))
+
+
+def server_settings(view: ViewServer) -> uvicorn.Config:
+    """How the page is served."""
+    return uvicorn.Config(
+        view.app(),
+        loop="asyncio",
+        http="h11",
+        ws="websockets-sansio",
+        ws_max_size=4 * ORDER_BYTES,
+        ws_per_message_deflate=False,  # costs more than loopback does
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=1,
+    )
 
 
 def _bound(host: str, port: int, listen: str) -> socket.socket:

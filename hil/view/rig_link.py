@@ -37,7 +37,7 @@ class RigLink:
         """`keys` to subscribe to; `credentials`: a person's folder. Raises CredentialsError, OSError, ValueError."""
         self.endpoint = endpoint
         self.rig = rig
-        self.problem: str | None = "connecting"
+        self.problem: str | None = "nobody answers there yet"
         self._root = key_root(rig)
         self._keys = keys
         self._settings = client_settings([endpoint], credentials)

@@ -54,6 +54,11 @@ function takeText(content) {
     page.staleMs = content.stale_ms;
     panels.clearEvents();
   }
+  if (content.now) {
+    panels.state(content.now);
+    panels.counts(content.now, content.lost);
+    panels.diagnosis(content.diagnosis, content.now);
+  }
   if (content.events) panels.events(content.events);
   if (content.parameters) operator.show(content.parameters);
   if (content.health) panels.health(content.health);
@@ -63,11 +68,6 @@ function takeText(content) {
     page.best = Math.min(page.best, behind);
     page.age = content.age_ms === null ? null : { ms: content.age_ms + behind - page.best, at: performance.now() };
     page.problem = content.problem;
-  }
-  if (content.now) {
-    panels.state(content.now);
-    panels.counts(content.now, content.lost);
-    panels.diagnosis(content.diagnosis, content.now);
   }
 }
 

@@ -4,13 +4,13 @@ import { write } from "./quantities.js";
 
 const byId = (id) => document.getElementById(id);
 const LABELS = {
-  "reference.offset_m": "Reference offset",
-  "reference.amplitude_m": "Reference amplitude",
-  "reference.omega_rad_per_s": "Reference angular frequency",
-  "leakage.threshold_sigma": "Residual threshold",
-  "leakage.cusum_threshold": "CUSUM threshold",
-  "limits.command_max_v": "Command limit",
-  "control.switching_gain": "Switching gain",
+  "reference.offset_m": "Offset",
+  "reference.amplitude_m": "Amplitude",
+  "reference.omega_rad_per_s": "Frequency",
+  "leakage.threshold_sigma": "Residual",
+  "leakage.cusum_threshold": "CUSUM",
+  "limits.command_max_v": "Command",
+  "control.switching_gain": "Switching",
 };
 
 export class Operator {
@@ -73,13 +73,9 @@ export class Operator {
       this.key = key;
       const reference = parameters.filter((p) => p.name.startsWith("reference."));
       const others = parameters.filter((p) => !p.name.startsWith("reference."));
-      form.replaceChildren();
-      if (reference.length) form.append(...reference.map(field), hint("acts from the next entry into ACTIVE: hold, then enable"));
-      form.append(...others.map(field));
-      const apply = document.createElement("button");
-      apply.textContent = "Apply";
-      apply.id = "apply";
-      form.append(apply);
+      const rest = document.createElement("details");
+      rest.append(make("summary", "Thresholds, limits, gains"), group(others));
+      form.replaceChildren(group(reference), make("p", "Acts from the next entry into ACTIVE: hold, then enable."), rest);
     }
     for (const { name, value, min, max } of parameters) {
       const input = form.elements[name];
@@ -127,19 +123,24 @@ function answerText(what, reply) {
   return `${what}: ${reply.result.replace("_", " ")}${where}`;
 }
 
-function hint(text) {
-  return Object.assign(document.createElement("p"), { className: "quiet", textContent: text });
+function make(tag, text) {
+  return Object.assign(document.createElement(tag), { textContent: text });
+}
+
+function group(parameters) {
+  const place = document.createElement("div");
+  place.className = "fields";
+  place.append(...parameters.map(field));
+  return place;
 }
 
 function field({ name, unit }) {
   const label = document.createElement("label");
-  label.append(LABELS[name] ?? name);
   const input = document.createElement("input");
   input.name = name;
   input.inputMode = "decimal";
   input.dataset.value = "";
   input.oninput = () => input.classList.toggle("touched", input.value !== input.dataset.value);
-  const after = Object.assign(document.createElement("span"), { textContent: unit === "1" ? "" : unit });
-  label.append(input, after);
+  label.append(make("span", `${LABELS[name] ?? name}${unit === "1" ? "" : `, ${unit}`}`), input);
   return label;
 }

@@ -7,6 +7,7 @@ const BAR = 1e5;
 const byId = (id) => document.getElementById(id);
 const EVENTS = 60;
 
+const LEAKS = { internal: "Internal A→B", external_a: "External A", external_b: "External B" };
 const NOW = [
   ["tracking error", "mm", 3, (n) => (n.position_m - n.ref_position_m) * 1e3, (n) => n.position_m !== null],
   ["position, estimated", "mm", 2, (n) => n.est_position_m * 1e3],
@@ -39,6 +40,7 @@ export class Panels {
     write(badge, now.state.replace("_", " "));
     badge.dataset.state = now.state;
     write(byId("time"), clock(now.t_ns / 1e9));
+    this.period = now.t_ns / 1e9 / now.cycle;
     NOW.forEach(([, , digits, value, known, std], i) => {
       const text = known && !known(now) ? "–" : figure(value(now), digits);
       write(this.rows[i], std ? `${text} ± ${figure(2 * std(now), digits)}` : text);
@@ -51,13 +53,15 @@ export class Panels {
     byId("leak").dataset.level = content.level;
     byId("leak").dataset.mode = content.mode;
     const leaking = content.level !== "none";
-    write(byId("leak-text"), leaking ? content.text.replace("l/min", "l/min") : judging ? "Change flagged" : "No leak");
+    const flow = content.leaks[content.leak]?.flow_m3ps;
+    const leak = `${LEAKS[content.leak] ?? "Leak"}: ${figure(flow === undefined ? null : flow * L_PER_MIN, 2)} l/min`;
+    write(byId("leak-text"), leaking ? leak : judging ? "Change flagged" : "No leak");
     for (const row of document.querySelectorAll("[data-leak]")) {
       const { flow_m3ps: flow, coefficient, std } = content.leaks[row.dataset.leak];
       row.classList.toggle("found", leaking && content.leak === row.dataset.leak);
       write(row.cells[1], figure(flow === null ? null : flow * L_PER_MIN, 3));
       const size = figure(coefficient === null ? null : coefficient * 1e12, 2);
-      write(row.cells[2], `${size} ± ${figure(std === null ? null : std * 1e12, 2)}`);
+      write(row.cells[2], `${size} ± ${figure(std === null ? null : 2 * std * 1e12, 2)}`);
     }
     const words = content.verdict
       ? `Last change: ${content.verdict.change ?? "no single cause"}, cycle ${content.verdict.since_cycle}`
@@ -150,7 +154,8 @@ export class Panels {
       const item = document.createElement("li");
       item.dataset.severity = event.severity;
       const time = document.createElement("time");
-      time.textContent = event.t_ns === undefined ? "" : `${clock(event.t_ns / 1e9)} s`;
+      const seconds = event.t_ns === undefined ? event.cycle * this.period : event.t_ns / 1e9;
+      time.textContent = Number.isFinite(seconds) ? `${clock(seconds)} s` : "";
       const text = document.createElement("span");
       text.textContent = event.text ?? event.code;
       item.append(time, text);

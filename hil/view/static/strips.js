@@ -1,9 +1,10 @@
 // The plots: one strip per quantity on one time axis, one cursor through all of them.
 
-import { figure } from "./quantities.js";
+import { figure, write } from "./quantities.js";
 
 const AXIS_WIDTH = 58;
 const TIME_AXIS = 26;
+const LOOK_BACK = 10; // points
 
 // Colours of the theme, looked up once: to ask the browser in every stroke makes it compute the page's style each time.
 const colors = new Map();
@@ -22,7 +23,8 @@ const STATISTICS = {
       { name: "change_statistic", label: "statistic", color: "--plot-a", digits: 1, width: 8 },
       { name: "change_threshold", label: "threshold", color: "--limit", digits: 1, width: 7 },
     ],
-    least: 20,
+    decades: true,
+    least: 100,
   },
   cusum: {
     label: "CUSUM",
@@ -32,7 +34,8 @@ const STATISTICS = {
       { name: "cusum_b", label: "B", color: "--plot-b", digits: 1, width: 7 },
       { name: "cusum_threshold", label: "threshold", color: "--limit", digits: 1, width: 7 },
     ],
-    least: 20,
+    decades: true,
+    least: 100,
   },
   residual: {
     label: "residual",
@@ -43,9 +46,14 @@ const STATISTICS = {
       { name: "threshold_a_pa", label: "threshold A", color: "--limit", digits: 2, width: 5 },
       { name: "threshold_b_pa", label: "B", color: "--limit", digits: 2, width: 5 },
     ],
+    decades: false,
     least: 1,
   },
 };
+
+// A statistic jumps from one to thousands: from LINEAR upwards its axis counts decades.
+const LINEAR = 10;
+const DECADES = [0, 100, 1e3, 1e4, 1e5, 1e6, 1e7];
 
 const STRIPS = [
   {
@@ -88,7 +96,7 @@ const STRIPS = [
 ];
 
 // A range that holds still: ends on a round step and no narrower than `least`. NaN is no value and asks for no room.
-function steady(columns, least) {
+function steady(columns, { least, decades }) {
   let low = Infinity;
   let high = -Infinity;
   for (const column of columns) {
@@ -98,6 +106,7 @@ function steady(columns, least) {
     }
   }
   if (!Number.isFinite(low) || !Number.isFinite(high)) return [0, least];
+  if (decades) return [0, DECADES.find((decade) => decade >= Math.max(least, high)) ?? high];
   const middle = (low + high) / 2;
   const half = Math.max(high - low, least) * 0.54;
   const rough = half / 3;
@@ -129,6 +138,7 @@ class Strip {
     this.writeHead();
     const bands = facts.series.flatMap((s, i) => (s.band ? [{ series: [i + 1, i + 2], fill: () => css(s.band) }] : []));
     const axis = { stroke: () => css("--axis"), font: "11px system-ui, sans-serif", ticks: { show: false } };
+    const ticks = facts.decades ? { splits: () => DECADES.filter((decade) => decade <= this.room[1]), filter: (_, at) => at } : {};
     const grid = { stroke: () => css("--grid"), width: 1 };
     this.plot = new uPlot(
       {
@@ -139,11 +149,11 @@ class Strip {
         cursor: { sync: { key: "servohil" }, drag: { x: false, y: false }, y: false, points: { size: 5 } },
         scales: {
           x: { time: false, range: () => this.span },
-          y: { range: () => this.room },
+          y: { range: () => this.room, ...(facts.decades ? { distr: 4, asinh: LINEAR } : {}) },
         },
         axes: [
           { ...axis, show: this.isLast, size: TIME_AXIS, grid, gap: 4, space: 70, values: (_, at) => at.map((t) => `${+t.toFixed(3)} s`) },
-          { ...axis, size: AXIS_WIDTH, grid, gap: 6, space: 26, values: (_, at) => at.map((v) => `${+v.toPrecision(6)}`.replace("-", "−")) },
+          { ...axis, ...ticks, size: AXIS_WIDTH, grid, gap: 6, space: 26, values: (_, at) => at.map((v) => `${+v.toPrecision(6)}`.replace("-", "−")) },
         ],
         series: [
           {},
@@ -211,16 +221,20 @@ class Strip {
   draw(history, span) {
     this.span = span;
     const data = history.window(this.names, span[0], span[1]);
-    this.room = steady(data.slice(1), this.facts.least);
+    this.room = steady(data.slice(1), this.facts);
     this.plot.setData(data);
   }
 
-  // The values under the cursor, or the newest ones.
+  // The values under the cursor, or the newest ones; a cycle without this signal shows the one before.
   read(index) {
     const data = this.plot.data;
     const at = index ?? data[0].length - 1;
     this.facts.series.forEach((s, i) => {
-      if (this.values[i]) this.values[i].textContent = figure(data[i + 1]?.[at], s.digits);
+      if (!this.values[i]) return;
+      const column = data[i + 1];
+      let place = at;
+      while (place > Math.max(0, at - LOOK_BACK) && Number.isNaN(column[place])) place -= 1;
+      write(this.values[i], figure(column[place], s.digits));
     });
   }
 }
