@@ -83,3 +83,15 @@ def benchmark_wakeup(rig: Path, quick: bool, json_path: Path | None, page: Path 
         from servohil.sim_bench.benchmarks.wakeup import wakeup_claims
 
         run_benchmark("wakeup", load(rig), lambda tick: wakeup_claims(quick, tick), json_path, page)
+
+
+@benchmark.command("view")
+@benchmark_options
+def benchmark_view(rig: Path, quick: bool, json_path: Path | None, page: Path | None) -> None:
+    """What the live page's server costs with ten pages open."""
+    with one_clear_line():
+        from servohil.sim_bench.benchmarks.command import run_benchmark
+        from servohil.sim_bench.benchmarks.view import view_claims
+
+        holds = run_benchmark("view", load(rig), lambda tick: view_claims(quick, tick), json_path, page)
+    sys.exit(0 if holds else EXIT_REFUSED)

@@ -39,7 +39,7 @@ class Feed:
 
     def __init__(self) -> None:
         self.freshness = Freshness()
-        self.restarted = False  # since the last look: documents are out of date then
+        self.documents_old = False  # since the last look: the rig has come back, or another one has come
         self.problem: str | None = None  # with the way to the rig, for people
         self.lost = 0  # batches that did not come, and messages that nobody could read
         self._recent = Recent(RECENT_S)
@@ -111,9 +111,11 @@ class Feed:
         if self._seq is not None and batch.seq > self._seq + 1:
             self.lost += batch.seq - self._seq - 1
         self._seq = batch.seq
-        if len(rows) and self.freshness.saw(int(rows["cycle"][-1]), batch.age_ns, message.at_ns):
-            self.restarted = True
-            self._events.clear()
+        if len(rows):
+            self.documents_old |= self.freshness.is_stale(message.at_ns)
+            if self.freshness.saw(int(rows["cycle"][-1]), batch.age_ns, message.at_ns):
+                self.documents_old = True
+                self._events.clear()
         return rows
 
     def _add(self, parts: list[NDArray[np.void]]) -> bytes | None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 COMMANDS: Final = ("enable", "hold", "disable", "reset", "estop", "acknowledge")
-PARAMETER: Final = re.compile(r"[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)+")
+PARAMETER: Final = re.compile(r"[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*")
 ORDER_BYTES: Final = 1024
 FORMS: Final = (
     f'allowed: {{"id", "token", "cmd"}} with cmd one of {", ".join(COMMANDS)}; {{"id", "token", "param", "value"}}; '

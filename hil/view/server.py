@@ -81,8 +81,8 @@ class ViewServer:
             now_ns = time.monotonic_ns()
             self.feed.problem = self.link.problem
             block, news = self.feed.tick(self.link.take(), now_ns)
-            if self.feed.restarted:
-                self.feed.restarted = False
+            if self.feed.documents_old:
+                self.feed.documents_old = False
                 self.link.want_documents()
             self.pages.offer(block)
             self.pages.offer(news)

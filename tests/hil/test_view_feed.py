@@ -105,13 +105,24 @@ def test_a_page_that_is_opened_late_is_told_what_was_before() -> None:
 def test_a_restart_forgets_the_old_run_and_asks_for_the_new_documents() -> None:
     feed = Feed()
     feed.tick([batch(5000, 10, 9, S), said("event/info/state", {"text": "old"})], S)
-    assert not feed.restarted
-    block, _ = feed.tick([batch(5010, 10, 10, 2 * S), batch(0, 10, 1, 2 * S)], 2 * S)
-    assert feed.restarted
+    assert feed.documents_old  # nothing was known before
+    feed.documents_old = False
+    feed.tick([batch(5010, 10, 10, S + 100 * MS)], S + 100 * MS)
+    assert not feed.documents_old
+    block, _ = feed.tick([batch(5020, 10, 11, S + 200 * MS), batch(0, 10, 1, S + 200 * MS)], 2 * S)
+    assert feed.documents_old
     assert block is not None and decode_block(block).t_s[-1] == 0.009
     text, recent = feed.greeting(2 * S)
     assert recent is not None and decode_block(recent).t_s[0] == 0.0
     assert json.loads(text)["events"] == []
+
+
+def test_a_rig_that_comes_back_is_asked_again() -> None:
+    feed = Feed()
+    feed.tick([batch(0, 10, 1, S)], S)
+    feed.documents_old = False
+    feed.tick([batch(9000, 10, 2, 3 * S)], 3 * S)  # perhaps another run, which has got further than the last one
+    assert feed.documents_old
 
 
 def late(t_s: float, *lateness_us: float) -> np.ndarray:

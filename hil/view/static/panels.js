@@ -40,6 +40,7 @@ export class Panels {
     write(badge, now.state.replace("_", " "));
     badge.dataset.state = now.state;
     write(byId("time"), clock(now.t_ns / 1e9));
+    write(byId("overruns"), String(now.overruns));
     this.period = now.t_ns / 1e9 / now.cycle;
     NOW.forEach(([, , digits, value, known, std], i) => {
       const text = known && !known(now) ? "–" : figure(value(now), digits);

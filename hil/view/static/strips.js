@@ -194,7 +194,11 @@ class Strip {
       value.dataset.series = s.name;
       return value;
     });
-    if (facts.note) legend.appendChild(document.createElement("li")).textContent = facts.note;
+    if (facts.note) {
+      const note = legend.appendChild(document.createElement("li"));
+      note.className = "note";
+      note.textContent = facts.note;
+    }
   }
 
   choices() {
