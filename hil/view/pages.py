@@ -7,6 +7,7 @@ from typing import Final
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 QUEUE: Final = 64  # messages, about 1.5 s
+GIVEN_UP: Final = 1200  # messages in a row that found no room, about half a minute: nobody looks at this page
 MOST_PAGES: Final = 50
 
 
@@ -14,7 +15,8 @@ class Page:
     """One open page: `offer` never waits."""
 
     def __init__(self, socket: WebSocket) -> None:
-        self.skipped = 0
+        self.skipped = 0  # messages in a row
+        self.given_up = asyncio.Event()
         self._socket = socket
         self._queue: asyncio.Queue[bytes | str] = asyncio.Queue(QUEUE)
 
@@ -22,8 +24,11 @@ class Page:
         """Queue a message, or drop it where the queue is full."""
         try:
             self._queue.put_nowait(message)
+            self.skipped = 0
         except asyncio.QueueFull:
             self.skipped += 1
+            if self.skipped >= GIVEN_UP:
+                self.given_up.set()
 
     async def write(self) -> None:
         """Send what is queued until the page is gone."""
@@ -42,8 +47,9 @@ class Pages:
     def __init__(self) -> None:
         self._open: set[Page] = set()
 
-    def __len__(self) -> int:
-        return len(self._open)
+    def all(self) -> set[Page]:
+        """The pages that are open now."""
+        return set(self._open)
 
     def add(self, page: Page) -> bool:
         """Whether there was room for one more."""

@@ -17,7 +17,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket
 
 from servohil.hil.view.door import host_allowed, origin_allowed, token_matches
 from servohil.hil.view.feed import Feed
@@ -103,19 +103,19 @@ class ViewServer:
         if not self.pages.add(page):
             await socket.close(TRY_AGAIN_LATER, "too many pages are open")
             return
-        writer = asyncio.create_task(page.write())
-        waiting: set[asyncio.Task[None]] = set()
+        tasks = [asyncio.create_task(work) for work in (page.write(), self._listen(socket, page), page.given_up.wait())]
         try:
-            while True:
-                message = await socket.receive()
-                if message["type"] == "websocket.disconnect":
-                    break
-                self._heard(page, message.get("text"), waiting)
-        except WebSocketDisconnect:
-            pass
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
             self.pages.remove(page)
-            writer.cancel()
+            for task in tasks:
+                task.cancel()
+
+    async def _listen(self, socket: WebSocket, page: Page) -> None:
+        """Take orders until the page is gone."""
+        waiting: set[asyncio.Task[None]] = set()
+        while (message := await socket.receive())["type"] != "websocket.disconnect":
+            self._heard(page, message.get("text"), waiting)
 
     def _hello(self) -> dict[str, Any]:
         return {"rig": self.link.rig, "endpoint": self.link.endpoint, "operators": self._token is not None}

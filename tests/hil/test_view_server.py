@@ -12,12 +12,12 @@ from typing import Any, Self
 import pytest
 import uvicorn
 from view_messages import batch, said
-from websockets.exceptions import ConnectionClosedError, InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from servohil.hil.view.block import decode_block
 from servohil.hil.view.command import server_settings
-from servohil.hil.view.pages import MOST_PAGES, QUEUE, Page, Pages
+from servohil.hil.view.pages import GIVEN_UP, MOST_PAGES, QUEUE, Page, Pages
 from servohil.hil.view.rig_link import Message
 from servohil.hil.view.server import ViewServer
 
@@ -216,12 +216,27 @@ def test_a_page_that_never_reads_holds_nobody_up() -> None:
     asleep, awake = asyncio.run(both())
     assert len(awake.taken) >= 10 * QUEUE - 2
     assert asleep.skipped >= 9 * QUEUE - 2  # bounded memory
+    assert not asleep.given_up.is_set()
+    for _ in range(GIVEN_UP):
+        asleep.offer(b"")
+    assert asleep.given_up.is_set()
+
+
+def test_a_page_that_nobody_looks_at_makes_room(server: Server) -> None:
+    with server.page() as page:
+        until(page, lambda m: isinstance(m, bytes))
+        [open_page] = server.view.pages.all()
+        open_page.given_up.set()
+        with pytest.raises(ConnectionClosed):
+            while True:
+                page.recv(timeout=PATIENCE_S)
+    assert len(server.view.pages.all()) == 0
 
 
 def test_no_more_pages_than_the_server_can_feed(server: Server) -> None:
     full = [Page(SlowSocket(False)) for _ in range(MOST_PAGES)]  # type: ignore[arg-type]
     assert all(server.view.pages.add(page) for page in full)
-    with server.page() as late, pytest.raises(ConnectionClosedError, match="too many pages"):
+    with server.page() as late, pytest.raises(ConnectionClosed, match="too many pages"):
         while True:
             late.recv(timeout=PATIENCE_S)
 
