@@ -115,3 +115,15 @@ def benchmark_soak(rig: Path, duration_s: float | None, quick: bool, json_path: 
             "soak", loaded, lambda tick: soak_claims(loaded, folder, seconds, tick), json_path, page, total=seconds
         )
     sys.exit(0 if holds else EXIT_REFUSED)
+
+
+@benchmark.command("view")
+@benchmark_options
+def benchmark_view(rig: Path, quick: bool, json_path: Path | None, page: Path | None) -> None:
+    """What the live page's server costs with ten pages open."""
+    with one_clear_line():
+        from servohil.sim_bench.benchmarks.command import run_benchmark
+        from servohil.sim_bench.benchmarks.view import view_claims
+
+        holds = run_benchmark("view", load(rig), lambda tick: view_claims(quick, tick), json_path, page)
+    sys.exit(0 if holds else EXIT_REFUSED)

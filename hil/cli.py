@@ -15,6 +15,7 @@ from servohil.hil.evaluate_cli import evaluate
 from servohil.hil.log_cli import log
 from servohil.hil.replay_cli import replay
 from servohil.hil.secure_cli import secure
+from servohil.hil.view_cli import top, view
 
 LEAK_KIND = click.Choice(["internal", "external_a", "external_b"])
 FAULTS = click.option(
@@ -256,6 +257,8 @@ main.add_command(evaluate)
 main.add_command(log)
 main.add_command(replay)
 main.add_command(secure)
+main.add_command(view)
+main.add_command(top)
 
 
 if __name__ == "__main__":

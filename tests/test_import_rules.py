@@ -46,8 +46,12 @@ FILE_MAY_IMPORT = {
     "hil/recording/export_table.py": {"pyarrow"},
     "hil/recording/mdf_script.py": {"asammdf"},  # run by another Python, imported by nobody
     "hil/secure/certificates.py": {"cryptography"},
+    "hil/view/command.py": {"uvicorn"},
+    "hil/view/pages.py": {"starlette"},
+    "hil/view/server.py": {"starlette"},
     "hil/reference_profile.py": {"scipy"},  # the spline of a trajectory, at start-up
     "sim_bench/campaign_table.py": {"pyarrow"},
+    "sim_bench/benchmarks/view.py": {"websockets"},
     "sim_bench/benchmarks/filterpy_peer.py": {"filterpy"},  # a peer where installed, else the row says so
 }
 # Inside a function only: `hil run` must work on a rig PC without the simulator.

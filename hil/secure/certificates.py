@@ -56,6 +56,14 @@ def valid_until(certificate: bytes) -> datetime:
     return x509.load_pem_x509_certificate(certificate).not_valid_after_utc
 
 
+def common_name(certificate: bytes) -> str:
+    """Whom a PEM certificate names. Raises ValueError if it is none, or names nobody."""
+    names = x509.load_pem_x509_certificate(certificate).subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    if len(names) != 1:
+        raise ValueError(f"certificate with {len(names)} common names; expected one")
+    return str(names[0].value)
+
+
 def _issue(authority: Signed, name: str, purpose: x509.ObjectIdentifier, hosts: list[x509.GeneralName]) -> Signed:
     key = ec.generate_private_key(ec.SECP256R1())
     signer = serialization.load_pem_private_key(authority.key, password=None)

@@ -5,6 +5,7 @@ import struct
 import numpy as np
 import pytest
 from google.protobuf import descriptor_pb2
+from google.protobuf.message import DecodeError
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,6 +13,7 @@ from servohil.hil.snapshot import FIELDS, SNAPSHOT
 from servohil.hil.telemetry import servohil_pb2 as pb
 from servohil.hil.telemetry.encoding import (
     EncodingError,
+    decode_batch,
     encode_batch,
     encode_samples,
     sample_state,
@@ -74,3 +76,28 @@ def test_foreign_state_is_refused() -> None:
 @pytest.mark.parametrize(("value", "wire"), [(0, b"\0"), (127, b"\x7f"), (128, b"\x80\x01"), (300, b"\xac\x02")])
 def test_varint_examples_of_the_protobuf_manual(value: int, wire: bytes) -> None:
     assert varint(value) == wire
+
+
+def test_a_batch_comes_back_bit_for_bit() -> None:
+    snapshots = np.random.default_rng(5).bytes(7 * SNAPSHOT_BYTES)
+    head, rows = decode_batch(encode_batch(encode_samples(snapshots), 9, 123, -1, 4))
+    assert rows.tobytes() == snapshots
+    assert (head.seq, head.t_unix_ns, head.age_ns, head.lost, len(head.samples)) == (9, 123, -1, 4, 0)
+    assert len(decode_batch(encode_batch(encode_samples(b""), 9, 123, -1, 4))[1]) == 0
+
+
+def test_a_batch_of_another_build_comes_with_what_both_know() -> None:
+    foreign = pb.StateBatch(seq=3, samples=[pb.State(cycle=8, nis=1.5), pb.State(cycle=9)]).SerializeToString()
+    head, rows = decode_batch(foreign)
+    assert head.seq == 3 and rows["cycle"].tolist() == [8, 9] and rows["nis"].tolist() == [1.5, 0.0]
+    extended = encode_batch(encode_samples(bytes(SNAPSHOT_BYTES)), 3, 0, 0, 0) + b"\xfa\x7f\x02hi"
+    assert len(decode_batch(extended)[1]) == 1
+
+
+@given(st.binary(max_size=2000))
+def test_what_is_no_batch_is_refused(data: bytes) -> None:
+    try:
+        pb.StateBatch.FromString(data)
+    except DecodeError:
+        with pytest.raises(EncodingError):
+            decode_batch(data)
