@@ -6,6 +6,7 @@ from collections import deque
 from typing import Any, Final
 
 import zenoh
+from google.protobuf.message import DecodeError
 
 from servohil.hil.telemetry.publisher import key_root
 from servohil.hil.telemetry.servohil_pb2 import StateBatch
@@ -22,7 +23,7 @@ class Probe:
         self._session = session
         self._batches: deque[bytes] = deque()
         self._snapshots: deque[bytes] = deque(maxlen=1)
-        self.received = 0
+        self.received = self.damaged = 0  # samples; batches that were none
         self.snapshot: dict[str, Any] = {}
         root = key_root(rig)
         self._subscribers = [
@@ -33,7 +34,10 @@ class Probe:
     def poll(self) -> None:
         """Take what has arrived since the last call."""
         while self._batches:
-            self.received += len(StateBatch.FromString(self._batches.popleft()).samples)
+            try:
+                self.received += len(StateBatch.FromString(self._batches.popleft()).samples)
+            except DecodeError:  # seen once, at a subscriber that had hung: counted, and on with the next
+                self.damaged += 1
         if self._snapshots:
             self.snapshot = json.loads(self._snapshots.popleft())
 

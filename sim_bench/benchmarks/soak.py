@@ -90,7 +90,7 @@ def growth_mb(samples: Sequence[tuple[float, int]], settle_s: float) -> float | 
 
 def run_soak(rig: Rig, folder: Path, duration_s: float, tick: Tick) -> tuple[Memory, dict[str, Any]]:
     """Run it in `folder`; `rig` is the effective configuration, its files there. Returns the memory of each process,
-    and facts: `received`, `telemetry` (its own counters), `faults`, `exit_code`.
+    and facts: `received`, `damaged`, `telemetry` (its own counters), `faults`, `exit_code`.
 
     Raises BenchError: a process ended before the loop began.
     """
@@ -123,7 +123,8 @@ def run_soak(rig: Rig, folder: Path, duration_s: float, tick: Tick) -> tuple[Mem
         memory, faults = _follow(rig, probe, watch, hanging, pids, both_run, tick)
         exit_code = controller.stop(signal.SIGINT)
         probe.poll()
-        facts: dict[str, Any] = {"received": probe.received, "faults": faults, "exit_code": exit_code}
+        facts: dict[str, Any] = {"received": probe.received, "damaged": probe.damaged, "faults": faults}
+        facts["exit_code"] = exit_code
     facts["telemetry"] = read_json(folder / RESULT_FILE)
     return memory, facts
 
@@ -190,6 +191,7 @@ def soak_claims(rig: Rig, folder: Path, duration_s: float, tick: Tick) -> list[C
         claim("different", log.different, "1", "== 0", "Snapshots that their replay does not give bit for bit"),
         claim("lost", telemetry.get("lost"), "1", "== 0", "records that telemetry missed, by its own count"),
         claim("unread", unread, "1", None, "samples that a reading subscriber missed"),
+        claim("damaged", facts["damaged"], "1", "== 0", "batches that the reading subscriber could not decode"),
         claim("faults", facts["faults"], "1", None, "that were reset and enabled again"),
     ]  # fmt: skip
     for name in ("controller", "telemetry"):
