@@ -17,7 +17,7 @@ from servohil.hil.view.block import encode_block
 from servohil.hil.view.columns import NAMES, Recent, columns_of
 from servohil.hil.view.freshness import STALE_NS, Freshness
 from servohil.hil.view.lateness import BINS_PER_OCTAVE, FIRST_EDGE_NS, RecentLateness
-from servohil.hil.view.rig_link import Message, parsed
+from servohil.hil.view.rig_link import Message, cycle_of, parsed
 
 NOW_NS: Final = 100_000_000  # people read numbers no faster
 SLOW_NS: Final = 500_000_000
@@ -57,7 +57,7 @@ class Feed:
         parts: list[NDArray[np.void]] = []
         news: dict[str, Any] = {}
         events: list[dict[str, Any]] = []
-        for message in messages:
+        for message in sorted(messages, key=cycle_of):
             if message.name == "state":
                 rows = self._rows(message)
                 if len(rows):

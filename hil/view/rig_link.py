@@ -5,7 +5,7 @@ import json
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -141,4 +141,8 @@ def parsed(payload: bytes) -> dict[str, Any] | None:
     return None
 
 
-Ask = Callable[[str, Mapping[str, Any] | None], dict[str, Any]]
+def cycle_of(message: Message) -> int:
+    """The cycle of an event, -1 for everything else: events that are asked for come by key, not in their order."""
+    content = parsed(message.payload) if message.name.startswith("event/") else None
+    cycle = content.get("cycle") if content else None
+    return cycle if isinstance(cycle, int) else -1

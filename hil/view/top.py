@@ -15,7 +15,7 @@ from rich.text import Text
 
 from servohil.hil.diagnosis_words import L_PER_MIN
 from servohil.hil.view.freshness import Freshness
-from servohil.hil.view.rig_link import Message, RigLink, parsed
+from servohil.hil.view.rig_link import Message, RigLink, cycle_of, parsed
 
 KEYS: Final = ("snapshot", "health", "diagnosis", "event/**")
 ONCE_S: Final = 5.0  # for a first screen; `health` comes once a second
@@ -41,7 +41,7 @@ class Screen:
 
     def take(self, messages: Iterable[Message]) -> None:
         """Remember what is newest; what is not JSON is nobody's."""
-        for message in messages:
+        for message in sorted(messages, key=cycle_of):
             content = parsed(message.payload)
             if content is None:
                 continue
@@ -62,7 +62,7 @@ class Screen:
         if stale:
             text = f" STALE: no new cycle for {age_s:.1f} s; what you see is the past "
             parts.append(Text(text, style="bold white on red"))
-        parts += [Columns([self._motion(), self._leakage()], padding=(0, 3)), self._timing(), self._log()]
+        parts += ["", Columns([self._motion(), self._leakage()], padding=(0, 3)), "", self._timing(), "", self._log()]
         return Panel(Group(*parts), title=self._title, border_style="red" if stale else "default", width=100)
 
     def _head(self, age_s: float) -> Text:
@@ -99,16 +99,17 @@ class Screen:
         words = f"{content.get('mode')}; leak {level}\n{content.get('text')}"
         return Group(table, Text(words, style=_STYLES.get(level, "")))
 
-    def _timing(self) -> Table:
+    def _timing(self) -> RenderableType:
         health = self._newest["health"]
-        table = _table("us, since start", "p50", "p99", "p99.9", "max", "overruns", "skipped", "rate Hz", "lost")
-        counts = [str(health.get("overruns", "-")), str(health.get("periods_skipped", "-"))]
-        counts += [_number(health, "rate_hz", 1.0, 1), str(health.get("lost", "-"))]
-        for name, key, rest in (("lateness", "lateness_us", counts), ("execution", "exec_us", [""] * 4)):
+        table = _table("us, since the start", "p50", "p99", "p99.9", "max")
+        for name, key in (("lateness", "lateness_us"), ("execution", "exec_us")):
             figures = health.get(key)
             spread = figures if isinstance(figures, dict) else {}
-            table.add_row(name, *(_number(spread, part, 1.0, 1) for part in ("p50", "p99", "p999", "max")), *rest)
-        return table
+            table.add_row(name, *(_number(spread, part, 1.0, 1) for part in ("p50", "p99", "p999", "max")))
+        counts = (("overruns", "overruns"), ("skipped", "periods_skipped"), ("rejected", "rx_rejected"))
+        words = [f"{text} {health.get(key, '-')}" for text, key in (*counts, ("lost", "lost"))]
+        rate = f"rate {_number(health, 'rate_hz', 1.0, 1)} Hz"
+        return Group(table, Text("   ".join([rate, *words]), style="default"))
 
     def _log(self) -> RenderableType:
         lines = Text()

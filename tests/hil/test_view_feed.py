@@ -117,6 +117,13 @@ def test_a_restart_forgets_the_old_run_and_asks_for_the_new_documents() -> None:
     assert json.loads(text)["events"] == []
 
 
+def test_events_that_are_asked_for_stand_in_their_order() -> None:
+    feed = Feed()
+    late, early = {"cycle": 9, "text": "late"}, {"cycle": 2, "text": "early"}
+    feed.tick([said("event/alarm/leak", late), said("event/info/state", early)], S)
+    assert json.loads(feed.greeting(S)[0])["events"] == [early, late]
+
+
 def test_a_rig_that_comes_back_is_asked_again() -> None:
     feed = Feed()
     feed.tick([batch(0, 10, 1, S)], S)

@@ -7,8 +7,8 @@ const LABELS = {
   "reference.offset_m": "Offset",
   "reference.amplitude_m": "Amplitude",
   "reference.omega_rad_per_s": "Frequency",
-  "leakage.threshold_sigma": "Residual",
-  "leakage.cusum_threshold": "CUSUM",
+  "leakage.threshold_sigma": "Residual, σ",
+  "leakage.cusum_threshold": "CUSUM, σ",
   "limits.command_max_v": "Command",
   "control.switching_gain": "Switching",
 };
@@ -141,6 +141,6 @@ function field({ name, unit }) {
   input.inputMode = "decimal";
   input.dataset.value = "";
   input.oninput = () => input.classList.toggle("touched", input.value !== input.dataset.value);
-  label.append(make("span", `${LABELS[name] ?? name}${unit === "1" ? "" : `, ${unit}`}`), input);
+  label.append(make("span", `${LABELS[name] ?? name}${unit === "1" ? "" : `, ${unit.replace("s3", "s³")}`}`), input);
   return label;
 }
