@@ -176,6 +176,7 @@ def telemetry(setup: Path) -> None:
 @click.option("--lockstep", is_flag=True, help="Simulated time: no waiting, bit-for-bit repeatable.")
 @click.option("--seed", type=click.IntRange(min=0), help="Of the simulated noise (default: as in RIG).")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the report here as well.")
+@click.option("--junit", "junit_path", type=click.Path(path_type=Path), help="Write the verdicts as JUnit XML here.")
 @click.option("--protocol-only", is_flag=True, help="Judge states, leak and end, not accuracy or rate.")
 @FAULTS
 def bench(
@@ -188,6 +189,7 @@ def bench(
     lockstep: bool,
     seed: int | None,
     json_path: Path | None,
+    junit_path: Path | None,
     protocol_only: bool,
     faults: Path | None,
 ) -> None:
@@ -198,7 +200,7 @@ def bench(
 
         say_when_compiling()
         if plant is not None:
-            mine = ("rate", "leak_at", "leak", "leak_kind", "seed", "protocol_only", "faults")
+            mine = ("rate", "leak_at", "leak", "leak_kind", "seed", "junit_path", "protocol_only", "faults")
             refuse_given(mine, "says the plant's file")
             from servohil.sim_bench.plant_rig.command import plant_bench_command
 
@@ -207,7 +209,7 @@ def bench(
         from servohil.sim_bench.bench_command import bench_command
 
         leaking = (leak_at, leak, leak_kind)
-        code = bench_command(rig, duration, rate, leaking, lockstep, seed, json_path, protocol_only, faults)
+        code = bench_command(rig, duration, rate, leaking, lockstep, seed, json_path, junit_path, protocol_only, faults)
     sys.exit(code)
 
 

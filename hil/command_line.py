@@ -52,9 +52,10 @@ def plant_file(path: Path) -> Path | None:
 def refuse_given(names: Sequence[str], why: str) -> None:
     """Refuse options of the running command that were given though they mean nothing here."""
     context = click.get_current_context()
+    options = {option.name: option.opts[0] for option in context.command.params}
     for name in names:
         if context.get_parameter_source(name) is not ParameterSource.DEFAULT:
-            raise click.UsageError(f"--{name.replace('_', '-')}: {why}")
+            raise click.UsageError(f"{options[name]}: {why}")
 
 
 def new_folder(base: str, name: str) -> Path:

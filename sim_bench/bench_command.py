@@ -15,6 +15,7 @@ from servohil.sim_bench.actuator_node import LeakPlan
 from servohil.sim_bench.bench import FAULTS_FILE, REPORT_FILE, BenchError, BenchOptions, run_bench
 from servohil.sim_bench.faults.report import fault_lines
 from servohil.sim_bench.faults.scenario import check_scenario, load_scenario
+from servohil.sim_bench.report.junit import write_junit
 from servohil.sim_bench.report.page import render_page, write_page
 from servohil.sim_bench.report.verdicts import Limits, add_verdicts, summary_lines
 
@@ -79,6 +80,7 @@ def bench_command(
     lockstep: bool,
     seed: int | None,
     json_path: Path | None,
+    junit_path: Path | None,
     protocol_only: bool,
     faults_path: Path | None = None,
 ) -> int:
@@ -115,6 +117,8 @@ def bench_command(
     (folder / REPORT_FILE).write_text(text + "\n", encoding="utf-8")
     if json_path is not None:
         shutil.copyfile(folder / REPORT_FILE, json_path)
+    if junit_path is not None:
+        write_junit(junit_path, report)
     for line in [*summary_lines(report), *fault_lines(report)]:
         live.say(line)
     page = render_page(
