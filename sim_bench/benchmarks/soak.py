@@ -178,6 +178,7 @@ def soak_claims(rig: Rig, folder: Path, duration_s: float, tick: Tick) -> list[C
     claims = [
         claim("cycles", log.cycles, "1", None, f"at {rig.loop.rate_hz:g} Hz, in the recording"),
         claim("own_overruns", log.own_overruns, "1", "== 0", "cycles of more than a period, and again in every replay"),
+        claim("unknown", log.unknown, "1", None, "long cycles after a gap, which cannot be replayed"),
         claim("catching_up", log.catching_up, "1", None, "the same where periods had been missed: a long prediction"),
         claim("long_cycles", log.long, "1", None, "cycles of more than a period, of the machine's making or ours"),
         claim("overruns", log.overruns, "1", None, "of any cause: what the machine does to us"),

@@ -22,7 +22,7 @@ from servohil.hil.snapshot import SNAPSHOT
 from servohil.hil.telemetry.health import Spread
 
 AT_ONCE: Final = 10_000  # cycles
-REPETITIONS: Final = 20
+REPETITIONS: Final = 400  # for half a second at least: a machine may be slow for some hundred milliseconds on end
 CPU_AT: Final = int(SNAPSHOT.fields["cpu_ns"][1]) if SNAPSHOT.fields else 0
 
 Figures = dict[str, float | None]  # us, see `Spread.figures_us`
@@ -36,7 +36,8 @@ class SoakLog:
         cycles: Snapshots.
         overruns: wake-ups that had missed a period, for whatever reason.
         long: cycles in which the clock of our thread showed more than a period.
-        own_overruns: those of them that are as long in every repetition, or cannot be repeated.
+        own_overruns: those of them that are as long in every repetition.
+        unknown: those that no checkpoint leads to, so that they cannot be repeated.
         catching_up: the same, but after missed periods, over which the filters had to predict (11 us each): a stall of
             the machine makes them.
         missing: cycle numbers that are neither a Snapshot's nor counted as skipped by one.
@@ -48,6 +49,7 @@ class SoakLog:
     overruns: int = 0
     long: int = 0
     own_overruns: int = 0
+    unknown: int = 0
     catching_up: int = 0
     missing: int = 0
     gaps: int = 0
@@ -80,12 +82,12 @@ def read_soak(recording: Path, cycle: Cycle, tick: Callable[[int], None]) -> Soa
 def _replayed(recording: Path, cycle: Cycle, log: SoakLog) -> Iterator[np.ndarray]:
     """The Snapshots, many at once; what only the replay shows goes into `log`."""
     rows: list[bytes] = []
-    before: RecordedCycle | None = None  # what follows it says how long it took
+    before: tuple[RecordedCycle, bool] | None = None  # what follows it says how long it took
     led = False
     for item in _items(recording):
-        if before is not None and isinstance(item, RecordedCycle | None):
-            took_ns = 0 if item is None else struct.unpack_from("<q", item.snapshot, CPU_AT)[0]
-            _replay(before, cycle, took_ns, led, log)
+        if before is not None and isinstance(item, RecordedCycle | Gap | None):
+            took_ns = struct.unpack_from("<q", item.snapshot, CPU_AT)[0] if isinstance(item, RecordedCycle) else 0
+            _replay(*before, cycle, took_ns, log)
             before = None
         if isinstance(item, Checkpoint):
             # It stands between two cycles and is the state that we have already: only after a gap is it news.
@@ -96,7 +98,7 @@ def _replayed(recording: Path, cycle: Cycle, log: SoakLog) -> Iterator[np.ndarra
             log.gaps += item.lost
             led = False
         elif isinstance(item, RecordedCycle):
-            before = item
+            before = item, led
             rows.append(item.snapshot)
         if rows and (item is None or len(rows) == AT_ONCE):
             yield np.frombuffer(b"".join(rows), dtype=SNAPSHOT)
@@ -110,12 +112,12 @@ def _items(recording: Path) -> Iterator[object]:
     yield None
 
 
-def _replay(recorded: RecordedCycle, cycle: Cycle, took_ns: int, led: bool, log: SoakLog) -> None:
+def _replay(recorded: RecordedCycle, led: bool, cycle: Cycle, took_ns: int, log: SoakLog) -> None:
     inputs = parse(recorded.inputs, cycle.codec.frame)
     is_long = took_ns > cycle.period_ns
     log.long += is_long
     if not led:
-        log.own_overruns += is_long
+        log.unknown += is_long
         return
     state = cycle.arena.save() if is_long else b""
     for repetition in range(REPETITIONS if is_long else 1):
