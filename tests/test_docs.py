@@ -26,8 +26,8 @@ SILENT = re.compile(r"A process was silent for \d+ ms")  # and what it says
 MAKE = {"make bench": ".venv/bin/hil bench", "make test": ".venv/bin/pytest"}
 
 
-# Its one command is a Monte Carlo, of which tests/sim_bench/test_leakage_evaluation.py runs every part.
-NIGHTLY = {"docs/leakage_results.md"}
+# A Monte Carlo and benchmarks, whose parts tests/sim_bench/test_leakage_evaluation.py and test_benchmark_*.py run.
+NIGHTLY = {"docs/leakage_results.md", "docs/performance.md"}
 
 
 def blocks(page: Path) -> list[str]:

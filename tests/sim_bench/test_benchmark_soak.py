@@ -12,7 +12,7 @@ from bench_rig import write_rig
 from servohil.hil.config import load_rig
 from servohil.hil.cycle import Cycle
 from servohil.hil.dry_run import PlausibleSensors
-from servohil.hil.inputs import InputsBuffer
+from servohil.hil.inputs import InputsBuffer, parse
 from servohil.hil.recording.layout import About
 from servohil.hil.recording.writer import RecordingWriter
 from servohil.sim_bench.benchmarks.cyclictest_peer import LONGEST_US, percentiles
@@ -100,6 +100,34 @@ def test_a_cycle_that_is_not_there_and_one_that_is_another_are_counted(cycle: Cy
     log = read(tmp_path / "r.mcap", cycle)
     assert log.cycles == CYCLES - 1 and log.missing == 1
     assert 1 <= log.different <= 5  # the changed one, and what follows the hole
+
+
+def test_after_a_gap_the_replay_waits_for_the_next_checkpoint(cycle: Cycle, tmp_path: Path) -> None:
+    snapshots: list[bytes] = []
+    payloads: list[bytes] = []
+
+    def keep(rows: list[bytes], inputs: list[bytes]) -> None:
+        snapshots.extend(rows)
+        payloads.extend(inputs)
+
+    recorded(cycle, tmp_path / "whole.mcap", keep)
+    first = cycle.arena.save()
+    for payload in payloads[:30]:
+        inputs = parse(payload)
+        cycle.step(inputs.header, inputs.frames)
+    later = cycle.arena.save()
+    cycle.restore(first)
+    writer = RecordingWriter(tmp_path / "r.mcap", About("soak"))
+    writer.checkpoint(first)
+    writer.add_cycles(b"".join(snapshots[:15]), payloads[:15])
+    writer.gap(3)
+    writer.add_cycles(b"".join(snapshots[18:30]), payloads[18:30])  # cycle 20 was long, and cannot be repeated
+    writer.checkpoint(later)
+    writer.add_cycles(b"".join(snapshots[30:]), payloads[30:])
+    writer.close()
+    log = read(tmp_path / "r.mcap", cycle)
+    assert (log.cycles, log.missing, log.gaps, log.different) == (CYCLES - 3, 3, 3, 0)
+    assert (log.long, log.unknown, log.own_overruns) == (3, 1, 0)
 
 
 def test_growth_is_what_stays() -> None:
