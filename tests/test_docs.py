@@ -22,7 +22,7 @@ LINK = re.compile(r"\]\(([^)#\s]+)\)")
 # `make test` runs this very test, and `make bench` is the bench of the next test for longer.
 TRIES = 2  # of a real-time command: a machine that stalls for 0.1 s makes an honest bench end in a fault
 STALLED = (2, 4)  # its exit codes then: a fault, a verdict that does not hold
-SILENT = re.compile(r"A process was silent for \d+ ms")  # and what it says
+SILENT = re.compile(r"A process was silent for \d+ ms|woke up too late for \d+ of its periods")  # and what it says
 MAKE = {"make bench": ".venv/bin/hil bench", "make test": ".venv/bin/pytest"}
 
 

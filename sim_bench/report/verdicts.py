@@ -10,6 +10,7 @@ from servohil.hil.gate import DeviceState
 
 PREFIX: Final = "bench"
 STALL_S: Final = 0.02  # without a measurement: a valve driver centres its spool then, and no run is as it should be
+SKIPPED_SHARE: Final = 0.01  # of the periods: then the diagnosis has paused again and again
 
 
 @dataclass(frozen=True)
@@ -109,11 +110,17 @@ def summary_lines(report: Mapping[str, Any]) -> list[str]:
 
 def stall_lines(report: Mapping[str, Any]) -> list[str]:
     """Why a run in real time may have failed without being wrong; nothing where it held."""
-    if report.get("holds", True) or not report["realtime"] or report["longest_gap_s"] < STALL_S:
+    if report.get("holds", True) or not report["realtime"]:
+        return []
+    if report["longest_gap_s"] >= STALL_S:
+        what = f"A process was silent for {report['longest_gap_s'] * 1e3:.0f} ms."
+    elif report["periods_skipped"] > SKIPPED_SHARE * report["cycles"]:
+        what = f"The loop woke up too late for {report['periods_skipped']} of its periods."
+    else:
         return []
     return [
-        f"A process was silent for {report['longest_gap_s'] * 1e3:.0f} ms. Where the machine is to blame (a shared "
-        "host, a laptop that saves power), try again, or run with --lockstep, whose clock waits."
+        f"{what} Where the machine is to blame (a shared host, a laptop that saves power), try again, or run with "
+        "--lockstep, whose clock waits."
     ]
 
 

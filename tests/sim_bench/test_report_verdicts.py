@@ -171,6 +171,15 @@ def test_a_run_that_failed_in_real_time_says_how_long_nothing_was_heard() -> Non
     assert last_line(realtime=True, end=1).startswith("ok")  # nor where all held
 
 
+@pytest.mark.parametrize(("skipped", "told"), [(61, True), (59, False)])
+def test_so_does_one_that_woke_up_too_late_too_often(skipped: int, told: bool) -> None:
+    rows, true = perfect(CYCLES)
+    rows["skipped"][:skipped] = 1
+    rows["state"][-1] = 6
+    lines = summary_lines(add_verdicts(score(rows, true, LOOP_START_NS, facts()), Limits(tracking_rmse_m=None)))
+    assert lines[-1].startswith(f"The loop woke up too late for {skipped} of its periods.") is told
+
+
 def test_silence_lasts_to_the_end_of_the_log_and_begins_with_the_first_measurement() -> None:
     rows, true = perfect(CYCLES)
     rows["position_m"][:500] = np.nan
