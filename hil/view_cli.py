@@ -21,7 +21,7 @@ def target_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def target(rig: Path, connect: str | None, name: str | None) -> tuple[str, str]:
+def target(rig: Path, connect: str | None, name: str | None, credentials: Path | None) -> tuple[str, str]:
     """(endpoint, rig name) from the rig file, unless both are given. Raises ConfigError, ValueError."""
     if connect is None or name is None:
         from servohil.hil.config import load_rig
@@ -30,6 +30,8 @@ def target(rig: Path, connect: str | None, name: str | None) -> tuple[str, str]:
         connect, name = connect or loaded.telemetry.listen, name or loaded.name
     if connect.endswith(":0"):
         raise ValueError(f"{connect}: the controller takes any free port; allowed: --connect with the one it prints")
+    if connect.startswith("tls/") and credentials is None:
+        raise ValueError(f"{connect}: --credentials is missing; allowed: a person's folder that `hil secure init` made")
     return connect, name
 
 
@@ -44,7 +46,7 @@ def view(
     with one_clear_line():
         from servohil.hil.view.command import view_command
 
-        endpoint, rig_name = target(rig, connect, name)
+        endpoint, rig_name = target(rig, connect, name, credentials)
         view_command(endpoint, rig_name, credentials, listen, operator, click.echo)
 
 
@@ -56,5 +58,5 @@ def top(rig: Path, connect: str | None, name: str | None, credentials: Path | No
     with one_clear_line():
         from servohil.hil.view.top import top_command
 
-        endpoint, rig_name = target(rig, connect, name)
+        endpoint, rig_name = target(rig, connect, name, credentials)
         top_command(endpoint, rig_name, credentials, once)

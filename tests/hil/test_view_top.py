@@ -1,5 +1,6 @@
 """The terminal view: what it shows of a rig's messages, and that it says so when it has none or old ones."""
 
+import io
 import time
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ HEALTH = {"overruns": 7, "rate_hz": 999.96, "lateness_us": {"p50": 12.34, "p99":
 
 
 def shown(screen: Screen, now_ns: int, problem: str | None = None) -> str:
-    console = Console(width=110, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    console = Console(width=110, record=True, file=io.StringIO())
     console.print(screen.render(now_ns, problem))
     return console.export_text()
 
@@ -80,6 +81,15 @@ def test_once_without_a_rig_ends_with_one_clear_line(monkeypatch: pytest.MonkeyP
     done = CliRunner().invoke(main, ["top", "--connect", "tcp/127.0.0.1:1", "--rig", "bench", "--once"])
     assert done.exit_code == 1
     assert "bench: nobody" in done.output and "Traceback" not in done.output
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "says"), [("tcp/127.0.0.1:0", "any free port"), ("tls/rig-pc:7447", "--credentials is missing")]
+)
+def test_an_endpoint_that_cannot_be_reached_is_refused_with_what_is_allowed(endpoint: str, says: str) -> None:
+    for command in ("top", "view"):
+        done = CliRunner().invoke(main, [command, "--connect", endpoint, "--rig", "bench"])
+        assert done.exit_code == 1 and says in done.output and "allowed" in done.output
 
 
 @pytest.mark.processes
