@@ -150,10 +150,13 @@ def test_the_ring_holds_what_it_promises_with_fd_frames(tmp_path: Path) -> None:
 
 
 def test_a_second_commander_on_fd_is_noticed(rig: Rig) -> None:
-    rows = snapshots(run(rig, one("second_commander", at_s=None, at_cycle=AT, command_v=1.0)))
+    records = run(rig, one("second_commander", at_s=None, at_cycle=AT, command_v=1.0))
+    rows = snapshots(records)
     raised = int(np.flatnonzero(rows["events"] & Event.SECOND_COMMANDER)[0])
     assert rows["active_t_ns"][raised] == AT * rig.loop.period_ns
     assert rows["command_v"][raised] == 0.0
+    stranger = parse(records[raised][1], FD_FRAME).frames[0]
+    assert (stranger["id"], stranger["dlc"], stranger["flags"]) == (COMMAND, 8, FLAG_FD | FLAG_BRS)
 
 
 @pytest.mark.nightly
