@@ -58,6 +58,13 @@ def test_a_changed_law_asks_for_something_else_and_estimates_the_same(recording:
     assert 0.0 < result.differences["law_v"].largest < 10.0
 
 
+def test_a_command_that_would_have_been_far_off_is_not_taken_for_a_valve_that_does_not_follow(recording: Path) -> None:
+    """The recorded spool follows the recorded command: that one, not its own, is what the changed controller sent."""
+    result = what_if(recording, {"reference.omega_rad_per_s": 4.0}, print)
+    assert result.differences["law_v"].largest > 1.0
+    assert "state" not in result.differences and "fault" not in result.differences
+
+
 def test_differences_are_measured_as_a_person_would() -> None:
     """Two hand-made rows: largest, where, rms, how many, and a NaN against a number differs without a size."""
     theirs, ours = np.zeros(4, SNAPSHOT), np.zeros(4, SNAPSHOT)
@@ -78,9 +85,9 @@ def test_differences_are_measured_as_a_person_would() -> None:
 
 def test_the_figure_keeps_few_rows_of_a_long_recording() -> None:
     result = WhatIf()
-    rows = np.zeros(1000, SNAPSHOT)
+    rows = np.zeros(997, SNAPSHOT)  # no multiple of a stride
     for k in range(30):
-        rows["t_ns"] = (k * 1000 + np.arange(1000)) * 10**6
+        rows["t_ns"] = (k * 997 + np.arange(997)) * 10**6
         result.add(rows, rows)
     times = result.rows["t_ns"][:, 0]
     assert len(times) <= 8000 and result.stride == 4
