@@ -6,7 +6,7 @@ padding surprises: frames are copied into recordings byte for byte.
 """
 
 import struct
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -47,3 +47,14 @@ FD_FRAME_STRUCT: Final = struct.Struct("<IBBHq64s")
 # The struct for an array of frames, by its `itemsize`.
 STRUCTS: Final = {FRAME.itemsize: FRAME_STRUCT, FD_FRAME.itemsize: FD_FRAME_STRUCT}
 assert all(record.size == size for size, record in STRUCTS.items())
+
+
+def flags_of(message: Any) -> int:
+    """The `flags` of a message of python-can."""
+    return int(
+        FLAG_EXTENDED * message.is_extended_id
+        | FLAG_REMOTE * message.is_remote_frame
+        | FLAG_ERROR * message.is_error_frame
+        | FLAG_FD * message.is_fd
+        | FLAG_BRS * message.bitrate_switch
+    )

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from servohil.drivers.frame import FLAG_BRS, FLAG_ERROR, FLAG_EXTENDED, FLAG_FD, FLAG_REMOTE, STRUCTS
+from servohil.drivers.frame import FLAG_BRS, FLAG_ERROR, FLAG_FD, STRUCTS, flags_of
 from servohil.drivers.port import CLASSIC, PortHealth
 
 DOWN_ERRNOS: Final = frozenset(
@@ -100,13 +100,7 @@ class PythonCanPort:
     def _record(self, message: Any, wall_s: float, oldest_ns: int) -> tuple[int, int, int, int, int, bytes] | None:
         """The fields of a received message, in their order in a frame; None if it is not for us."""
         can_id, data = message.arbitration_id, bytes(message.data)
-        flags = (
-            FLAG_EXTENDED * message.is_extended_id
-            | FLAG_REMOTE * message.is_remote_frame
-            | FLAG_ERROR * message.is_error_frame
-            | FLAG_FD * message.is_fd
-            | FLAG_BRS * message.bitrate_switch
-        )
+        flags = flags_of(message)
         if flags & FLAG_ERROR:
             self.health.saw_error_frame(can_id)
         elif self._is_echo(can_id, flags, data) or not self._is_wanted(can_id):

@@ -108,8 +108,9 @@ def benchmark_soak(rig: Path, duration_s: float | None, quick: bool, json_path: 
         from servohil.sim_bench.benchmarks.command import run_benchmark
         from servohil.sim_bench.benchmarks.soak import DURATION_S, QUICK_S, soak_claims
 
-        folder = new_folder(load(rig).recording.directory, "soak")
-        loaded = write_effective(load(rig), folder)
+        source = load(rig)
+        folder = new_folder(source.recording.directory, "soak")
+        loaded = write_effective(source, folder)
         seconds = duration_s or (QUICK_S if quick else DURATION_S)
         holds = run_benchmark(
             "soak", loaded, lambda tick: soak_claims(loaded, folder, seconds, tick), json_path, page, total=seconds

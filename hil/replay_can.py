@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from servohil.drivers.frame import FLAG_BRS, FLAG_ERROR, FLAG_EXTENDED, FLAG_FD, FLAG_REMOTE
+from servohil.drivers.frame import flags_of
 from servohil.hil.assemble import check
 from servohil.hil.config import Rig, load_rig
 from servohil.hil.config.effective import write_effective
@@ -164,16 +164,13 @@ def _write(writer: RecordingWriter, snapshots: list[bytes], payloads: list[bytes
 
 def fill(frames: Any, at: int, message: Any, age_ns: int) -> None:
     """Write python-can's message as record `at`."""
-    flags = (
-        FLAG_EXTENDED * message.is_extended_id
-        | FLAG_REMOTE * message.is_remote_frame
-        | FLAG_ERROR * message.is_error_frame
-        | FLAG_FD * message.is_fd
-        | FLAG_BRS * message.bitrate_switch
-    )
     room = frames["data"].shape[1]
     data = bytes(message.data[:room]).ljust(room, b"\0")
-    frames["id"][at], frames["dlc"][at], frames["flags"][at] = message.arbitration_id, min(message.dlc, 255), flags
+    frames["id"][at], frames["dlc"][at], frames["flags"][at] = (
+        message.arbitration_id,
+        min(message.dlc, 255),
+        flags_of(message),
+    )
     frames["age_ns"][at], frames["data"][at] = age_ns, np.frombuffer(data, np.uint8)
 
 
