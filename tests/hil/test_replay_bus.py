@@ -3,6 +3,8 @@
 import os
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,13 +12,14 @@ from click.testing import CliRunner
 from recorded_run import RecordedRun
 
 from servohil.drivers.bus_lock import BusLock
-from servohil.drivers.frame import FLAG_EXTENDED, FRAME
+from servohil.drivers.frame import FD_FRAME, FLAG_BRS, FLAG_EXTENDED, FLAG_FD, FRAME
 from servohil.drivers.local_port import LocalPort
 from servohil.hil import replay_bus
 from servohil.hil.cli import main
-from servohil.hil.inputs import HEADER_BYTES, parse
-from servohil.hil.recording.columns import Reading
-from servohil.hil.replay_bus import Frames, is_harmless, send_timed
+from servohil.hil.inputs import HEADER_BYTES, InputsBuffer, parse
+from servohil.hil.recording.columns import Block, Reading
+from servohil.hil.replay_bus import Frames, fd_flags, is_harmless, send_timed
+from servohil.hil.snapshot import SNAPSHOT
 
 
 def test_only_virtual_buses_are_harmless(tmp_path: Path) -> None:
@@ -93,6 +96,28 @@ def test_what_a_port_cannot_send_is_counted(run: RecordedRun, tmp_path: Path) ->
     before = len(parse(run.cycles[29][1]).frames)
     assert found.left_out == 1 and len(times) == before + len(frames) - 1
     assert times[before:] == [1_000_000 - 500_000 + 100_000 * k for k in range(1, len(frames))]
+
+
+def test_frames_of_can_fd_go_onto_the_bus_as_such() -> None:
+    inputs = InputsBuffer(2, FD_FRAME)
+    data = bytes(range(24))
+    inputs.frames[0] = (0x120, 24, FLAG_FD | FLAG_BRS, 0, 0, np.frombuffer(data.ljust(64, b"\0"), np.uint8))
+    inputs.frames[1] = (0x121, 8, 0, 0, 0, np.zeros(64, np.uint8))
+    block = Block(np.zeros(1, SNAPSHOT), [bytes(inputs.payload(2))], 0)
+    reading: Any = SimpleNamespace(blocks=lambda: iter([block]))
+    found = Frames(reading)
+    assert list(found) == [(0, 0x120, data), (0, 0x121, bytes(8))] and found.left_out == 0
+    assert fd_flags(reading) == {0x120: FLAG_FD | FLAG_BRS}
+    channel = f"replay-fd-{os.getpid()}"
+    sender, listener = LocalPort(channel, (), fd=fd_flags(reading)), LocalPort(channel, None)
+    try:
+        assert send_timed(sender, iter(found), lambda: False)[0] == 2
+        got = np.zeros(9, FD_FRAME)
+        assert listener.drain(got) == 2
+        assert got["flags"][:2].tolist() == [FLAG_FD | FLAG_BRS, 0] and got["data"][0, :24].tobytes() == data
+    finally:
+        sender.close()
+        listener.close()
 
 
 def test_a_listener_on_the_embedded_bus_gets_every_frame_in_order(run: RecordedRun, tmp_path: Path) -> None:
